@@ -288,9 +288,8 @@ pub(crate) fn predict_world(set: &WorldSet, out: &Path) -> Result<Prediction, Ge
             let begin = Instant::now();
             set.tile(TileKey { y: if key.level > 0 { key.y ^ 1 } else { 0 }, ..*key })?;
             let seconds = begin.elapsed().as_secs_f64();
-            let (scatter, tileset) = (tile.scatter.as_ref().map_or(0, |glb| glb.len()), set.tileset(*key));
-            let bytes = tile.heights.len() + tile.jpeg.len() + scatter + tileset.map_or(0, |json| json.len());
-            Ok((bytes as u64, seconds))
+            let bytes = tile.files.iter().map(|(_, content)| content.len()).sum::<usize>();
+            Ok(((bytes + set.tileset(*key).map_or(0, |json| json.len())) as u64, seconds))
         })
         .collect();
     let made = made?;

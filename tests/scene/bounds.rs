@@ -10,7 +10,8 @@ use proptest::prelude::*;
 use terrane::cull::{CullVisitor, RenderStage};
 use terrane::math::{Aabb, BoundingSphere};
 use terrane::scene::{
-    CameraNode, Drawable, Geometry, Mesh, Node, NodeId, NodeKind, Page, ReferenceFrame, RenderOrder, Scene,
+    AutoScale, Billboard, BillboardMode, CameraNode, Drawable, Geometry, Mesh, Node, NodeId, NodeKind, Page,
+    ReferenceFrame, RenderOrder, Scene,
 };
 use terrane::state::DataVariance;
 
@@ -231,4 +232,19 @@ fn levels_of_detail_enclose_their_content() {
     assert_eq!([seen(center + DVec3::X * 49.0), seen(center + DVec3::X * 51.0)], [1, 0]);
     let empty = Node::lod(vec![[0.0, 50.0]], vec![Node::group(vec![])]);
     assert!(matches!(empty.kind, NodeKind::Lod { center: DVec3::ZERO, .. }));
+}
+
+/// A drawable of constant size on the screen has no bounds. What lies beside it is still what a first view shows.
+#[test]
+fn page_with_unbounded_parts_has_the_sphere_of_the_others() {
+    let auto_scale = Some(AutoScale { min: 0.0, max: f64::INFINITY });
+    let drawables = vec![(DVec3::new(0.0, 8.0, 0.0), cube(DVec3::ZERO, 1.0))];
+    let sign =
+        Node::new(NodeKind::Billboard(Box::new(Billboard { mode: BillboardMode::PointRotEye, auto_scale, drawables })));
+    let place = DAffine3::from_translation(DVec3::new(100.0, 20.0, 0.0));
+    let house = Node::geode(vec![cube(DVec3::new(0.0, -8.0, 0.0), 1.0)]);
+    let page = page(Node::transform(place, vec![Node::group(vec![sign]), house]), 0);
+    let sphere = page.bounding_sphere();
+    assert!(sphere.center.distance(DVec3::new(100.0, 20.0, 0.0)) < 2.0, "{sphere:?}");
+    assert!(sphere.radius_m > 8.0 && sphere.radius_m < 11.0, "{sphere:?}");
 }

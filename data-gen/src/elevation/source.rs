@@ -40,6 +40,11 @@ pub trait ElevationSource: Sync {
         Ok(())
     }
 
+    /// Returns true for a formula, which is computed at any distance of samples and reads no files.
+    fn is_formula(&self) -> bool {
+        false
+    }
+
     /// Announces that heights in a rectangle will be asked for. A source on a server reads them ahead.
     fn prepare(&self, _extent: &Extent) {}
 

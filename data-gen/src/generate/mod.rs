@@ -17,7 +17,7 @@ use crate::output::{
 use crate::pyramid::{Grid, Layer, TileKey};
 use crate::update::{LocalSet, Manifest, OldSet, TerrainUpdate, keep_blocks};
 use crate::web_tiles::TileContent;
-use crate::world::{WorldArgs, WorldPreset, check_world, world_set, write_world};
+use crate::world::{WorldArgs, WorldPreset, WorldSet, check_world, world_set, write_world};
 use crate::{ContentKind, GenArgs, GenError, Prediction, PredictionFormat, Shard, Sharding, Summary};
 use crate::{prediction, shards};
 
@@ -115,7 +115,7 @@ pub fn predict(args: &GenArgs) -> Result<Prediction, GenError> {
     let (out, _) = target(args)?;
     check(args)?;
     prediction::check_writable(&out)?;
-    let predicted = thread_pool(args)?.install(|| match world_set(args, PROCEDURAL_LEVELS) {
+    let predicted = thread_pool(args)?.install(|| match tiled_world(args) {
         Some(set) => prediction::predict_world(&set, &out),
         None if args.content == ContentKind::QuantizedMesh => {
             with_terrain(args, |opened| prediction::predict_terrain(args, &opened.set, &out, prediction::PLACES))
@@ -241,7 +241,7 @@ fn make(
     folder: &Path,
 ) -> Result<(Summary, Vec<PathBuf>), GenError> {
     let is_fresh = !Journal::new(folder).exists();
-    if let Some(set) = world_set(args, PROCEDURAL_LEVELS) {
+    if let Some(set) = tiled_world(args) {
         if is_fresh {
             let tiles = (0..set.levels()).map(|level| 1u64 << (2 * level)).sum();
             prediction::check_space(out, tiles, || prediction::predict_world(&set, out))?;
@@ -306,6 +306,11 @@ fn make(
         };
         Ok((summary, shards))
     })
+}
+
+/// Returns the set of a world with a tiling of its own; `None` for terrain for globes, whose tiles sample a world as other sources.
+fn tiled_world(args: &GenArgs) -> Option<WorldSet> {
+    world_set(args, PROCEDURAL_LEVELS).filter(|_| args.content != ContentKind::QuantizedMesh)
 }
 
 /// Makes terrain for globes, or a shard of it, in a folder.

@@ -10,6 +10,7 @@ use crate::georeference::{DatumGrid, ROUNDING};
 use crate::output::TerrainSet;
 use crate::pyramid::{ALIGNED, CELLS, Grid, Plan};
 use crate::store::BlockCache;
+use crate::world::{WorldSource, world_set};
 use crate::{Color, ContentKind, ElevationSource, Extent, GenArgs, GenError, Procedural, Raster};
 
 /// Longitude and latitude of the middle of procedural terrain, in degrees.
@@ -48,6 +49,14 @@ struct Terrain {
     context: Option<Arc<SourceContext>>,
 }
 
+impl Terrain {
+    /// Returns terrain that has no files.
+    fn of_formula(source: Box<dyn ElevationSource>, extent: Extent, step: [f64; 2], levels: u32) -> Self {
+        let (places, notes) = (Vec::new(), Vec::new());
+        Self { source, extent, step, levels, is_fine: false, places, pixel: [0.0; 2], notes, context: None }
+    }
+}
+
 /// Reads the elevation files, or creates procedural terrain if there are none. By default there are enough levels for all
 /// detail of the elevation and of the imagery.
 fn terrain(
@@ -56,6 +65,12 @@ fn terrain(
     datum_grid: Option<&Arc<DatumGrid>>,
     cache: &Arc<BlockCache>,
 ) -> Result<Terrain, GenError> {
+    if let Some(set) = world_set(args, PROCEDURAL_LEVELS) {
+        let source = WorldSource::new(set);
+        let (extent, step) = (source.extent(), source.step());
+        let levels = args.levels.unwrap_or(PROCEDURAL_LEVELS);
+        return Ok(Terrain::of_formula(Box::new(source), extent, step, levels));
+    }
     if args.dem.is_empty() {
         let [lon, lat] = PROCEDURAL_CENTER.map(f64::to_radians);
         let half = 0.5 * args.size / 6_371_000.0;
@@ -65,17 +80,7 @@ fn terrain(
         let levels = args.levels.unwrap_or(PROCEDURAL_LEVELS);
         let cells = (CELLS << (PROCEDURAL_LEVELS - 1)) as f64;
         let step = [2.0 * half_lon / cells, 2.0 * half / cells];
-        return Ok(Terrain {
-            source: Box::new(source),
-            extent,
-            step,
-            levels,
-            is_fine: false,
-            places: Vec::new(),
-            pixel: [0.0; 2],
-            notes: Vec::new(),
-            context: None,
-        });
+        return Ok(Terrain::of_formula(Box::new(source), extent, step, levels));
     }
     let options = args.raster_options();
     let context = SourceContext::new(Arc::clone(cache), args.vertical_datum.geoid()?, datum_grid.cloned());

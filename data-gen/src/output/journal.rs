@@ -134,7 +134,7 @@ impl Journal {
     /// Returns the tiles of a complete set.
     pub fn kept_tiles(&self) -> Result<HashMap<TileKey, CompleteTile>, GenError> {
         let bytes = self.load_file(TILES)?.unwrap_or_default();
-        Ok(String::from_utf8_lossy(&bytes).split('\n').filter_map(CompleteTile::parse).collect())
+        Ok(String::from_utf8_lossy(&bytes).split('\n').filter_map(parse_line).collect())
     }
 
     /// Replaces the lists of complete tiles by one whose bytes do not depend on the order in which tiles were made, for a later update.
@@ -142,7 +142,7 @@ impl Journal {
         let complete = self.tiles(None)?.complete;
         let mut tiles: Vec<(TileKey, CompleteTile)> = complete.into_iter().collect();
         tiles.sort_unstable_by_key(|(key, _)| *key);
-        let text: String = tiles.iter().map(|(key, tile)| tile.line(*key)).collect();
+        let text: String = tiles.iter().map(|(key, tile)| line(*key, tile)).collect();
         self.save_file(TILES, text.as_bytes())?;
         for entry in std::fs::read_dir(&self.folder).map_err(GenError::file(&self.folder))? {
             let path = entry.map_err(GenError::file(&self.folder))?.path();
@@ -154,7 +154,7 @@ impl Journal {
     }
 
     /// Opens the list of complete tiles. Those of shards that were merged, whose names have their numbers, are in it.
-    pub fn tiles(&self, shard: Option<Shard>) -> Result<TileList, GenError> {
+    pub fn tiles<T: ListedTile>(&self, shard: Option<Shard>) -> Result<TileList<T>, GenError> {
         let own = shard.map_or_else(|| TILES.to_owned(), |shard| format!("{TILES}-{shard}").replace('/', "-of-"));
         let path = self.file(&own);
         self.make_folder(&path)?;
@@ -165,7 +165,7 @@ impl Journal {
                 continue;
             }
             let bytes = std::fs::read(&path).map_err(GenError::file(&path))?;
-            complete.extend(String::from_utf8_lossy(&bytes).split('\n').filter_map(CompleteTile::parse));
+            complete.extend(String::from_utf8_lossy(&bytes).split('\n').filter_map(parse_line));
         }
         let mut file = File::options().append(true).create(true).open(&path).map_err(GenError::file(&path))?;
         // The last line of a killed run may be incomplete.
@@ -207,12 +207,38 @@ pub(crate) enum Inputs {
     Gaps,
 }
 
-impl CompleteTile {
-    /// Returns a line of the list, with a checksum at the end.
-    fn line(&self, key: TileKey) -> String {
+/// What a list has of a tile.
+pub(crate) trait ListedTile: Sized {
+    /// Returns it as words in one line.
+    fn text(&self) -> String;
+
+    /// Reads the words; `None` if they are not such a tile.
+    fn parse(text: &str) -> Option<Self>;
+}
+
+/// Returns a line of a list, with a checksum at the end.
+fn line(key: TileKey, tile: &impl ListedTile) -> String {
+    let TileKey { level, x, y } = key;
+    let text = format!("{level} {x} {y} {}", tile.text());
+    format!("{text} {:016x}\n", checksum(text.as_bytes()))
+}
+
+/// Reads a line; `None` if it is damaged.
+fn parse_line<T: ListedTile>(line: &str) -> Option<(TileKey, T)> {
+    let (text, sum) = line.rsplit_once(' ')?;
+    if u64::from_str_radix(sum, 16).ok()? != checksum(text.as_bytes()) {
+        return None;
+    }
+    let mut words = text.splitn(4, ' ');
+    let mut number = || words.next()?.parse().ok();
+    let key = TileKey { level: number()?, x: number()?, y: number()? };
+    Some((key, T::parse(words.next()?)?))
+}
+
+impl ListedTile for CompleteTile {
+    fn text(&self) -> String {
         let [low, high] = self.range_m.map(f32::to_bits);
         let [data_low, data_high] = self.data_m.map(f32::to_bits);
-        let TileKey { level, x, y } = key;
         let [own_low, own_high] = self.own_m.map(f32::to_bits);
         let heights = format!("{low:x} {high:x} {data_low:x} {data_high:x} {own_low:x} {own_high:x}");
         let inputs = match self.inputs {
@@ -220,23 +246,16 @@ impl CompleteTile {
             Inputs::Surroundings => "s",
             Inputs::Gaps => "g",
         };
-        let text = format!("{level} {x} {y} {} {heights} {} {inputs}", self.bytes, self.voids);
-        format!("{text} {:016x}\n", checksum(text.as_bytes()))
+        format!("{} {heights} {} {inputs}", self.bytes, self.voids)
     }
 
-    /// Reads a line; `None` if it is damaged.
-    fn parse(line: &str) -> Option<(TileKey, Self)> {
-        let (text, sum) = line.rsplit_once(' ')?;
-        if u64::from_str_radix(sum, 16).ok()? != checksum(text.as_bytes()) {
-            return None;
-        }
+    fn parse(text: &str) -> Option<Self> {
         let words: Vec<&str> = text.split(' ').collect();
-        let [level, x, y, bytes, low, high, data_low, data_high, own_low, own_high, voids, inputs] = words[..] else {
+        let [bytes, low, high, data_low, data_high, own_low, own_high, voids, inputs] = words[..] else {
             return None;
         };
-        let key = TileKey { level: level.parse().ok()?, x: x.parse().ok()?, y: y.parse().ok()? };
         let height = |bits: &str| Some(f32::from_bits(u32::from_str_radix(bits, 16).ok()?));
-        let complete = Self {
+        Some(Self {
             bytes: bytes.parse().ok()?,
             range_m: [height(low)?, height(high)?],
             data_m: [height(data_low)?, height(data_high)?],
@@ -248,28 +267,32 @@ impl CompleteTile {
                 "g" => Inputs::Gaps,
                 _ => return None,
             },
-        };
-        Some((key, complete))
+        })
     }
 }
 
-/// The tiles of a world that are complete, one in each line of a file. Threads share it.
-pub(crate) struct TileList {
-    complete: HashMap<TileKey, CompleteTile>,
+/// The tiles that are complete, one in each line of a file. Threads share it.
+pub(crate) struct TileList<T = CompleteTile> {
+    complete: HashMap<TileKey, T>,
     /// Opened for appending: a line is one write.
     file: File,
     path: PathBuf,
 }
 
-impl TileList {
+impl<T: ListedTile + Clone> TileList<T> {
     /// Returns a tile that an earlier run has completed.
-    pub fn get(&self, key: TileKey) -> Option<CompleteTile> {
-        self.complete.get(&key).copied()
+    pub fn get(&self, key: TileKey) -> Option<T> {
+        self.complete.get(&key).cloned()
+    }
+
+    /// Returns all tiles that an earlier run has completed, in no order.
+    pub fn all(&self) -> impl Iterator<Item = (&TileKey, &T)> {
+        self.complete.iter()
     }
 
     /// Adds a tile whose files are complete.
-    pub fn add(&self, key: TileKey, tile: &CompleteTile) -> Result<(), GenError> {
-        (&self.file).write_all(tile.line(key).as_bytes()).map_err(GenError::file(&self.path))
+    pub fn add(&self, key: TileKey, tile: &T) -> Result<(), GenError> {
+        (&self.file).write_all(line(key, tile).as_bytes()).map_err(GenError::file(&self.path))
     }
 }
 

@@ -1,50 +1,174 @@
 //! Builds mesh content: the triangles of a tile with skirts, in the east-north-up frame at the tile's centre.
 
 use glam::{DAffine3, DMat3, DMat4, DVec3};
-use terrane::formats::writers::GlbMesh;
+use terrane::formats::writers::{GlbMesh, GlbRoughness, write_compressed_glb, write_glb};
 use terrane::math::{Geodetic, WGS84};
 
 use super::encoding::Triangles;
 use super::normal_map::normal_map;
+use super::options::Tiling;
 use super::tin::Tin;
 use crate::pyramid::{Block, CELLS, Extent, TileKey};
+use crate::{ContentKind, GenArgs, GenError};
 
-/// Returns the transform from the frame of a tile's mesh to ECEF.
-pub(crate) fn ecef_from_tile(block: &Block<'_>, key: TileKey) -> DAffine3 {
-    let e = block.extent(key);
-    let f = block.facts(key);
-    let height_m = 0.5 * (f64::from(f.min_height_m) + f64::from(f.max_height_m));
-    WGS84.ecef_from_enu(&Geodetic { longitude: 0.5 * (e.west + e.east), latitude: 0.5 * (e.south + e.north), height_m })
+/// The samples of a tile that becomes a mesh: those of a block, or of a world.
+pub(crate) struct MeshTile<'a> {
+    pub key: TileKey,
+    /// The rectangle of the set, and that of the tile.
+    pub set: Extent,
+    pub extent: Extent,
+    /// The height of the origin of the mesh's frame in metres.
+    pub origin_m: f64,
+    /// The heights in metres of the vertices and of those next to the tile, southern row first.
+    pub heights_m: Vec<f32>,
+    /// Returns which triangles of a cell have data: the south-eastern and the north-western one. Cells from -1 to 64. `None` if all
+    /// have.
+    pub has_data: Option<Box<dyn Fn(i64, i64) -> [bool; 2] + 'a>>,
 }
 
-/// Returns the transform from a tile's mesh to a file whose frame, y up, is the earth's.
-pub(crate) fn file_from_tile(block: &Block<'_>, key: TileKey) -> DMat4 {
-    // glTF's y axis points up; a quarter turn about x maps it to z.
-    let z_up_from_y_up = DAffine3::from_mat3(DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y));
-    DMat4::from(z_up_from_y_up.inverse() * ecef_from_tile(block, key) * z_up_from_y_up)
+/// The form of mesh files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct MeshForm {
+    pub triangles: Triangles,
+    pub has_normal_map: bool,
+    pub is_quantized: bool,
+    /// True for EXT_meshopt_compression.
+    pub is_compressed: bool,
+    /// True if files contain their place on the earth, so that tiles need no transform.
+    pub is_placed: bool,
 }
 
-/// Returns the triangles of a tile with data.
-pub(crate) fn triangles(block: &Block<'_>, key: TileKey, kind: Triangles) -> Tin {
-    match kind {
-        Triangles::Grid => Tin::grid(|i, j| block.triangles(key, i, j)),
-        Triangles::Tin => tin(block, key),
+impl MeshForm {
+    pub fn new(args: &GenArgs) -> Self {
+        // Beside height tiles meshes have all vertices of a common edge.
+        let triangles = if args.content == ContentKind::Height { Triangles::Grid } else { args.tiles.triangles };
+        Self {
+            triangles,
+            has_normal_map: args.tiles.normal_maps && triangles == Triangles::Tin,
+            is_quantized: !args.float_vertices,
+            is_compressed: !args.float_vertices && !args.tiles.no_meshopt,
+            // Tiles of implicit tilings have no transform.
+            is_placed: args.output.tiling == Tiling::Implicit,
+        }
     }
 }
 
-fn tin(block: &Block<'_>, key: TileKey) -> Tin {
-    let cells = (CELLS as i64) << key.level;
-    let has_data = |i: i64, j: i64| {
-        // Cells beyond the edge belong to neighbours; beyond the edge of the block they repeat the nearest ones. So at borders of voids
-        // on such an edge, tiles of two blocks may keep different vertices, within the allowed distance and covered by skirts.
-        let [x, y] = [(key.x, i), (key.y, j)].map(|(tile, c)| (i64::from(tile) * CELLS as i64 + c).clamp(0, cells - 1));
-        let [(x, i), (y, j)] = [x, y].map(|c| ((c as usize / CELLS) as u32, c as usize % CELLS));
-        block.triangles(TileKey { level: key.level, x, y }, i, j)
-    };
-    let set = block.extent(TileKey::ROOT);
-    let curvature_m = |row: i64| curvature_m(&set, cells, i64::from(key.y) * CELLS as i64 + row);
-    let has_data: Option<&dyn Fn(i64, i64) -> [bool; 2]> = if block.is_whole() { None } else { Some(&has_data) };
-    Tin::of_samples(&|i, j| block.height_m(key, i, j), &curvature_m, has_data, f64::INFINITY)
+/// The look of a mesh.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Look {
+    /// The file of its texture; `None` without one.
+    pub image: Option<Vec<u8>>,
+    /// Maps of it need a texture.
+    pub roughness: GlbRoughness,
+}
+
+/// Returns the height of the origin of the frame of a block's tile, in metres.
+fn origin_m(block: &Block<'_>, key: TileKey) -> f64 {
+    let facts = block.facts(key);
+    0.5 * (f64::from(facts.min_height_m) + f64::from(facts.max_height_m))
+}
+
+/// Returns the transform to ECEF from the east-north-up frame in the middle of a rectangle, at a height.
+fn ecef_from_middle(e: &Extent, height_m: f64) -> DAffine3 {
+    WGS84.ecef_from_enu(&Geodetic { longitude: 0.5 * (e.west + e.east), latitude: 0.5 * (e.south + e.north), height_m })
+}
+
+/// Returns the transform from the frame of the mesh of a block's tile to ECEF.
+pub(super) fn ecef_from_tile(block: &Block<'_>, key: TileKey) -> DAffine3 {
+    ecef_from_middle(&block.extent(key), origin_m(block, key))
+}
+
+impl<'a> MeshTile<'a> {
+    /// Returns the samples of a tile with data.
+    pub fn of_block(block: &'a Block<'a>, key: TileKey) -> Self {
+        let last = CELLS as i64 + 1;
+        let mut heights_m = Vec::with_capacity(SIDE * SIDE);
+        (-1..=last).for_each(|j| block.add_heights(key, -1..=last, j, &mut heights_m));
+        let cells = (CELLS as i64) << key.level;
+        let has_data = move |i: i64, j: i64| {
+            // Cells beyond the edge belong to neighbours; beyond the edge of the block they repeat the nearest ones. So at borders of
+            // voids on such an edge, tiles of two blocks may keep different vertices, within the allowed distance and covered by skirts.
+            let [x, y] =
+                [(key.x, i), (key.y, j)].map(|(tile, c)| (i64::from(tile) * CELLS as i64 + c).clamp(0, cells - 1));
+            let [(x, i), (y, j)] = [x, y].map(|c| ((c as usize / CELLS) as u32, c as usize % CELLS));
+            block.triangles(TileKey { level: key.level, x, y }, i, j)
+        };
+        Self {
+            key,
+            set: block.extent(TileKey::ROOT),
+            extent: block.extent(key),
+            origin_m: origin_m(block, key),
+            heights_m,
+            has_data: if block.is_whole() { None } else { Some(Box::new(has_data)) },
+        }
+    }
+
+    /// Returns the heights in metres of a row, from the vertex west of the tile on; -1 and 65 are the rows next to the tile.
+    fn row_m(&self, j: i64) -> &[f32] {
+        &self.heights_m[(j + 1) as usize * SIDE..][..SIDE]
+    }
+
+    /// Returns the triangles of the tile. [`Tin::of_samples`] describes the limits of triangulations.
+    pub fn triangles(&self, kind: Triangles, limits_m: &[f64], most_m: f64) -> Tin {
+        let has_data = self.has_data.as_deref();
+        match kind {
+            Triangles::Grid => Tin::grid(|i, j| has_data.map_or([true; 2], |has_data| has_data(i as i64, j as i64))),
+            Triangles::Tin => {
+                let curvature_m = |row: i64| self.curvature_m(row);
+                let height_m = |i: i64, j: i64| self.row_m(j)[(i + 1) as usize];
+                let has_data = has_data.map(|f| f as &dyn Fn(i64, i64) -> [bool; 2]);
+                Tin::of_samples(&height_m, &curvature_m, has_data, limits_m, most_m)
+            }
+        }
+    }
+
+    /// Returns the height in metres by which the earth falls within a cell at a row, eastwards and northwards.
+    fn curvature_m(&self, row: i64) -> [f64; 2] {
+        let cells = (CELLS as i64) << self.key.level;
+        curvature_m(&self.set, cells, i64::from(self.key.y) * CELLS as i64 + row)
+    }
+
+    /// Returns the largest vertical distance between the edges of the tile and those that tiles one or two levels coarser have there, in
+    /// metres, if their vertices are some of the tile's.
+    pub fn edge_step_m(&self) -> f64 {
+        let last = CELLS as i64;
+        let edge = |at: fn(i64, i64) -> [i64; 2]| -> Vec<f64> {
+            (0..=last).map(|k| at(k, last)).map(|[i, j]| f64::from(self.row_m(j)[(i + 1) as usize])).collect()
+        };
+        let north_m = self.curvature_m(last / 2)[1];
+        let edges = [
+            (edge(|k, _| [k, 0]), self.curvature_m(0)[0]),
+            (edge(|k, last| [k, last]), self.curvature_m(last)[0]),
+            (edge(|k, _| [0, k]), north_m),
+            (edge(|k, last| [last, k]), north_m),
+        ];
+        let mut step_m = 0.0f64;
+        for ((heights_m, fall_m), cells) in edges.iter().flat_map(|edge| [(edge, 2usize), (edge, 4)]) {
+            let bulge_m = fall_m * (cells * cells) as f64;
+            for (k, height_m) in heights_m.iter().enumerate().filter(|(k, _)| k % cells != 0) {
+                let (start, t) = (k - k % cells, (k % cells) as f64 / cells as f64);
+                let chord_m = heights_m[start] + t * (heights_m[start + cells] - heights_m[start]);
+                step_m = step_m.max((chord_m - bulge_m * t * (1.0 - t) - height_m).abs());
+            }
+        }
+        step_m
+    }
+
+    /// Returns the glb file of triangles of the tile. Skirts hang `skirt_m` down from its edges.
+    pub fn glb(&self, form: &MeshForm, tin: &Tin, skirt_m: f64, look: Look) -> Result<Vec<u8>, GenError> {
+        let failed = |e| GenError::Encode(format!("normal map of tile {:?}: {e}", self.key));
+        let mut mesh = build(self, form, tin, skirt_m, look).map_err(failed)?;
+        mesh.file_from_mesh = form.is_placed.then(|| self.file_from_mesh());
+        Ok(if form.is_compressed { write_compressed_glb(&mesh) } else { write_glb(&mesh) })
+    }
+
+    /// Returns the transform from the mesh to a file whose frame, y up, is the earth's.
+    fn file_from_mesh(&self) -> DMat4 {
+        // glTF's y axis points up; a quarter turn about x maps it to z.
+        let z_up_from_y_up = DAffine3::from_mat3(DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y));
+        let ecef_from_mesh = ecef_from_middle(&self.extent, self.origin_m);
+        DMat4::from(z_up_from_y_up.inverse() * ecef_from_mesh * z_up_from_y_up)
+    }
 }
 
 /// Returns the height in metres by which the earth falls below its tangent plane within one cell eastwards and one northwards at
@@ -73,24 +197,21 @@ pub(super) struct Lattice {
 }
 
 impl Lattice {
-    fn new(block: &Block<'_>, key: TileKey) -> Self {
-        let e = block.extent(key);
+    fn new(tile: &MeshTile<'_>) -> Self {
+        let e = tile.extent;
         let angles = |from: f64, to: f64| {
             std::array::from_fn::<f64, SIDE, _>(|k| from + (to - from) * ((k as f64 - 1.0) / CELLS as f64))
         };
         let (longitudes, latitudes) = (angles(e.west, e.east), angles(e.south, e.north));
         let of = |angle: f64| <[f64; 2]>::from(angle.sin_cos());
         let (columns, rows) = (longitudes.map(of), latitudes.map(of));
-        let tile_from_ecef = ecef_from_tile(block, key).inverse();
+        let tile_from_ecef = ecef_from_middle(&e, tile.origin_m).inverse();
         let (axes, centre) = (tile_from_ecef.matrix3, tile_from_ecef.translation);
         let mut places = Vec::with_capacity(SIDE * SIDE);
-        let mut heights = Vec::with_capacity(SIDE);
         for (j, ([sin_lat, cos_lat], latitude)) in (-1..).zip(rows.into_iter().zip(latitudes)) {
             let radius_m = WGS84.prime_vertical_radius_m(latitude);
             let polar_m = radius_m * (1.0 - WGS84.eccentricity_squared());
-            heights.clear();
-            block.add_heights(key, -1..=CELLS as i64 + 1, j, &mut heights);
-            places.extend(columns.iter().zip(&heights).map(|([sin_lon, cos_lon], height_m)| {
+            places.extend(columns.iter().zip(tile.row_m(j)).map(|([sin_lon, cos_lon], height_m)| {
                 let height_m = f64::from(*height_m);
                 let r = (radius_m + height_m) * cos_lat;
                 axes * DVec3::new(r * cos_lon, r * sin_lon, (polar_m + height_m) * sin_lat) + centre
@@ -148,18 +269,9 @@ impl Numbers {
     }
 }
 
-/// Builds the mesh of triangles of a tile. Skirts hang `skirt_m` down from its edges; `image` is the file of its texture, if it
-/// has one. Normals are those of the tile's samples, also where there are fewer vertices. With a normal map, the map has them, and
-/// the normals of vertices point upwards. The error says why the map cannot be encoded.
-pub(crate) fn build(
-    block: &Block<'_>,
-    key: TileKey,
-    tin: &Tin,
-    skirt_m: f64,
-    image: Option<Vec<u8>>,
-    has_normal_map: bool,
-    quantized: bool,
-) -> Result<GlbMesh, String> {
+/// Builds the mesh of [`MeshTile::glb`]. Normals are those of the tile's samples, also where there are fewer vertices. With a normal
+/// map, the map has them, and the normals of vertices point upwards. The error says why the map cannot be encoded.
+fn build(tile: &MeshTile<'_>, form: &MeshForm, tin: &Tin, skirt_m: f64, look: Look) -> Result<GlbMesh, String> {
     // A triangle whose edge lies on an edge of the tile has a skirt there. Its front faces outwards.
     let mut numbers = Numbers::new(tin);
     let mut indices = Vec::with_capacity(3 * tin.triangles.len());
@@ -175,12 +287,14 @@ pub(crate) fn build(
             }
         }
     }
-    let lattice = Lattice::new(block, key);
+    let lattice = Lattice::new(tile);
     // glTF's y axis points up: x = east, y = up, z = -north.
     let y_up = |v: DVec3| [v.x as f32, v.z as f32, -v.y as f32];
-    let has_uvs = image.is_some() || has_normal_map;
-    let mut map = has_normal_map.then(|| normal_map(&lattice)).transpose()?;
-    let mut mesh = GlbMesh { base_color: [1.0; 4], image, quantized, indices, ..GlbMesh::default() };
+    let Look { image, roughness } = look;
+    let has_uvs = image.is_some() || form.has_normal_map;
+    let mut map = form.has_normal_map.then(|| normal_map(&lattice)).transpose()?;
+    let mut mesh =
+        GlbMesh { base_color: [1.0; 4], image, roughness, quantized: form.is_quantized, indices, ..GlbMesh::default() };
     for (vertex, is_bottom) in numbers.vertices {
         let [i, j] = tin.vertices[usize::from(vertex)].map(i64::from);
         let place = lattice.at(i, j);

@@ -5,13 +5,12 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use rayon::prelude::*;
-use terrane::formats::writers::{write_compressed_glb, write_glb, write_height_exr, write_packed_heights};
+use terrane::formats::writers::{write_height_exr, write_packed_heights};
 
 use zstd::bulk::Compressor;
 
 use super::encoding::Triangles;
-use super::mesh;
-use super::options::Tiling;
+use super::mesh::{Look, MeshForm, MeshTile};
 use super::packed::{BlockFile, Kind};
 use super::tin::Tin;
 use crate::args::{Color, ContentKind, GenArgs};
@@ -42,7 +41,7 @@ pub(crate) fn write_tiles(
     progress: &Progress,
 ) -> Result<Written, GenError> {
     let mut keys: Vec<TileKey> = block.keys().collect();
-    let maker = TileMaker { args, block, painter };
+    let maker = TileMaker { args, form: MeshForm::new(args), block, painter };
     if args.output.is_packed() {
         keys.sort_by_key(|key| (key.level, key.morton()));
         return write_packed_tiles(&maker, &keys, folder, progress);
@@ -96,7 +95,7 @@ fn write_packed_tiles(
 /// Returns the depth of a tile's skirt in metres. It covers the step to a neighbour two levels coarser, and to any finer one.
 /// The edges of triangulations deviate from those of grids by a share of the same steps.
 pub(super) fn skirt_m(args: &GenArgs, block: &Block<'_>, key: TileKey) -> f64 {
-    let steps = if triangles(args) == Triangles::Tin { 3.0 } else { 2.0 };
+    let steps = if MeshForm::new(args).triangles == Triangles::Tin { 3.0 } else { 2.0 };
     1.0 + block.facts(key).error_m + steps * block.edge_step_m(key)
 }
 
@@ -111,6 +110,8 @@ struct TileFiles {
 /// Makes the files of a block's tiles. Threads share it.
 struct TileMaker<'a> {
     args: &'a GenArgs,
+    /// The form of tiles that are meshes.
+    form: MeshForm,
     block: &'a Block<'a>,
     painter: Option<&'a Painter<'a>>,
 }
@@ -127,7 +128,7 @@ impl TileMaker<'_> {
         };
         let sizes = extensions.iter().map(|extension| Some(stem.with_extension(extension).metadata().ok()?.len()));
         if let Some(bytes) = sizes.sum() {
-            return Ok((bytes, self.triangles(key).map_or(0.0, |tin| tin.distance_m)));
+            return Ok((bytes, self.mesh(key).map_or(0.0, |(_, tin)| tin.distance_m)));
         }
         let TileFiles { files, distance_m } = self.make(key)?;
         let written = files.iter().map(|(extension, bytes)| write_whole(&stem.with_extension(extension), bytes));
@@ -142,20 +143,13 @@ impl TileMaker<'_> {
             encoded.map_err(|e| GenError::Encode(format!("texture of tile {key:?}: {e}")))
         };
         let image = self.painter.map(encode).transpose()?;
-        let Some(tin) = self.triangles(key) else {
+        let Some((tile, tin)) = self.mesh(key) else {
             let mut files: Vec<_> = image.into_iter().map(|image| (format.extension(), image)).collect();
             files.push((self.args.output.heights(), self.heights(key)?));
             return Ok(TileFiles { files, distance_m: 0.0 });
         };
-        let Self { args, block, .. } = *self;
-        let has_normal_map = args.tiles.normal_maps && triangles(args) == Triangles::Tin;
-        let mut mesh =
-            mesh::build(block, key, &tin, skirt_m(args, block, key), image, has_normal_map, !args.float_vertices)
-                .map_err(|e| GenError::Encode(format!("normal map of tile {key:?}: {e}")))?;
-        // Tiles of implicit tilings have no transform.
-        mesh.file_from_mesh = (args.output.tiling == Tiling::Implicit).then(|| mesh::file_from_tile(block, key));
-        let is_compressed = !args.float_vertices && !args.tiles.no_meshopt;
-        let glb = if is_compressed { write_compressed_glb(&mesh) } else { write_glb(&mesh) };
+        let look = Look { image, ..Look::default() };
+        let glb = tile.glb(&self.form, &tin, skirt_m(self.args, self.block, key), look)?;
         Ok(TileFiles { files: vec![("glb", glb)], distance_m: tin.distance_m })
     }
 
@@ -175,10 +169,12 @@ impl TileMaker<'_> {
         file.map_err(|e| GenError::Encode(e.to_string()))
     }
 
-    /// Returns the triangles of a tile that is a mesh.
-    fn triangles(&self, key: TileKey) -> Option<Tin> {
+    /// Returns the samples and the triangles of a tile that is a mesh.
+    fn mesh(&self, key: TileKey) -> Option<(MeshTile<'_>, Tin)> {
         let is_mesh = form(self.args, self.block, key) == ContentKind::Mesh;
-        is_mesh.then(|| mesh::triangles(self.block, key, triangles(self.args)))
+        let tile = is_mesh.then(|| MeshTile::of_block(self.block, key))?;
+        let tin = tile.triangles(self.form.triangles, &[], f64::INFINITY);
+        Some((tile, tin))
     }
 }
 
@@ -196,14 +192,6 @@ pub(crate) fn compress(bytes: &[u8]) -> std::io::Result<Vec<u8>> {
         };
         compressor.compress(bytes)
     })
-}
-
-/// Returns the triangles of meshes. Beside height tiles they have all vertices of a common edge.
-fn triangles(args: &GenArgs) -> Triangles {
-    match args.content {
-        ContentKind::Mesh | ContentKind::QuantizedMesh => args.tiles.triangles,
-        ContentKind::Height => Triangles::Grid,
-    }
 }
 
 /// Writes a file under another name and renames it, so that a killed run leaves no part of a file under its name. Returns the

@@ -14,7 +14,7 @@ use super::options::Tiling;
 use super::tile_set::{form, skirt_m};
 use crate::args::{Color, ContentKind, GenArgs, Voids};
 use crate::georeference::ROUNDING;
-use crate::pyramid::{Below, Block, CELLS, Coverage, QUANTUM_M, Record, TileKey, Totals};
+use crate::pyramid::{Below, Block, CELLS, Coverage, Extent, QUANTUM_M, Record, TileKey, Totals};
 
 /// Describes the tiles of a block.
 pub(crate) struct Tree<'a> {
@@ -65,10 +65,7 @@ impl<'a> Tree<'a> {
     fn own_region(&self, key: TileKey) -> [f64; 6] {
         let e = self.block.extent(key);
         let f = self.block.facts(key);
-        let cell = (e.east - e.west).max(e.north - e.south) / CELLS as f64;
-        // Meshes lie below the ellipsoid between their vertices, by the height of the arc above its chord.
-        let sagitta_m = 6_378_137.0 * cell * cell / 4.0;
-        let low_m = f64::from(f.min_height_m) - self.skirt_m(key) - sagitta_m - self.distance_m(key);
+        let low_m = f64::from(f.min_height_m) - self.skirt_m(key) - sagitta_m(&e) - self.distance_m(key);
         let high_m = f64::from(f.max_height_m);
         let slack_m = 0.1 + self.half_step_m(key);
         // A region across the date line has its west edge east of its east edge in 3D Tiles.
@@ -83,11 +80,8 @@ impl<'a> Tree<'a> {
 
     /// Returns the largest rounding of quantized vertices in metres. It is added to the volume and to the error.
     fn half_step_m(&self, key: TileKey) -> f64 {
-        let (e, f) = (self.block.extent(key), self.block.facts(key));
-        let side = (e.east - e.west).max(e.north - e.south);
-        let high_m = f64::from(f.max_height_m - f.min_height_m) + self.skirt_m(key);
-        let cell = side / CELLS as f64;
-        (6_378_137.0 * side + high_m + 6_378_137.0 * cell * cell / 4.0) / 131_070.0
+        let f = self.block.facts(key);
+        half_step_m(&self.block.extent(key), f64::from(f.max_height_m - f.min_height_m) + self.skirt_m(key))
     }
 
     fn skirt_m(&self, key: TileKey) -> f64 {
@@ -231,6 +225,18 @@ impl<'a> Tree<'a> {
 pub(crate) fn external_tileset(args: &GenArgs, totals: &Totals, root: TileKey, record: &Record, tile: &str) -> String {
     let (asset, error_m) = (asset(args, totals, root.level), json!(record.geometric_error_m));
     format!(r#"{{"asset":{asset},"geometricError":{error_m},"root":{tile}}}"#)
+}
+
+/// Returns how far meshes lie below the ellipsoid between their vertices, at most: the height of the arc above its chord.
+pub(crate) fn sagitta_m(e: &Extent) -> f64 {
+    let cell = (e.east - e.west).max(e.north - e.south) / CELLS as f64;
+    6_378_137.0 * cell * cell / 4.0
+}
+
+/// Returns the largest rounding of the quantized vertices of a mesh in metres. `high_m` is the difference of its heights.
+pub(crate) fn half_step_m(e: &Extent, high_m: f64) -> f64 {
+    let side = (e.east - e.west).max(e.north - e.south);
+    (6_378_137.0 * side + high_m + sagitta_m(e)) / 131_070.0
 }
 
 /// The error of a tile without content in metres: it is refined at any distance.

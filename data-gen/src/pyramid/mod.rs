@@ -11,7 +11,7 @@ mod samples;
 mod surface;
 mod tile;
 
-pub(crate) use block::{Below, Block};
+pub(crate) use block::{Below, Block, distance_to_finer_m};
 pub(crate) use fill::BOX;
 pub use grid::Extent;
 pub(crate) use grid::{ALIGNED, Grid, QUANTUM_M};

@@ -21,6 +21,10 @@ pub(crate) struct Manifest {
     options: String,
     /// The grid, and what is taken from all sources together.
     grid: String,
+    /// The largest pixel of the sources of elevation, east and north, in radians: how far beyond their rectangles heights depend on
+    /// them.
+    #[serde(default)]
+    pixel: [f64; 2],
     pub(super) sources: Vec<Source>,
     #[serde(default)]
     pub(super) imagery: Vec<Source>,
@@ -60,10 +64,8 @@ impl Manifest {
         let images = opened.imagery.map(Imagery::bounds).unwrap_or_default();
         Ok(Self {
             options: options_text(args)?,
-            grid: format!(
-                "{:?} {} {} {:.3e} {:.3e} {range_m:?}",
-                grid.extent, grid.levels, opened.is_fine, opened.pixel[0], opened.pixel[1]
-            ),
+            grid: format!("{:?} {} {} {range_m:?}", grid.extent, grid.levels, opened.is_fine),
+            pixel: opened.pixel,
             sources: sources(args, &args.dem, &opened.places)?,
             imagery: sources(args, &args.imagery, &images)?,
             terrain: None,
@@ -77,7 +79,8 @@ impl Manifest {
         let bounds = [west, south, east, north];
         Ok(Self {
             options: options_text(args)?,
-            grid: format!("{} {} {:.3e} {:.3e}", set.levels, set.is_fine, pixel[0], pixel[1]),
+            grid: format!("{} {}", set.levels, set.is_fine),
+            pixel: *pixel,
             sources: sources(args, &args.dem, places)?,
             imagery: Vec::new(),
             terrain: Some(TerrainPlace { bounds, bits: bits(bounds), gaps: None }),
@@ -96,6 +99,11 @@ impl Manifest {
             return Some("the options are others");
         }
         (old.grid != self.grid).then_some("the bounds, the range of heights or the levels are others")
+    }
+
+    /// Returns the larger pixel of the sources of this set and of an older one.
+    pub(super) fn pixel_with(&self, old: &Self) -> [f64; 2] {
+        [0, 1].map(|axis| self.pixel[axis].max(old.pixel[axis]))
     }
 
     /// Stores the manifest in the journal of a set.

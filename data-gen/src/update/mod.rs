@@ -57,8 +57,8 @@ pub(crate) fn keep_blocks(
     }
     let changes = [changes(&old.sources, &new.sources), changes(&old.imagery, &new.imagery)];
     let [elevation, imagery] = changes;
-    let mut update =
-        Update { args, opened, set, journal, folder, changes: elevation, painted: imagery, same: HashSet::new() };
+    let (pixel, same) = (new.pixel_with(&old), HashSet::new());
+    let mut update = Update { args, opened, set, journal, folder, changes: elevation, pixel, painted: imagery, same };
     let (mut kept, mut measured) = (0, 0);
     let mut parts = 0;
     for (k, layer) in layers.iter().enumerate().filter(|(_, layer)| below_root(layer)) {
@@ -116,6 +116,8 @@ struct Update<'a> {
     folder: &'a Path,
     /// Rectangles whose heights may have changed, in radians.
     changes: Vec<[f64; 4]>,
+    /// The size of a pixel, east and north, in radians.
+    pixel: [f64; 2],
     /// Rectangles whose imagery may have changed, in radians.
     painted: Vec<[f64; 4]>,
     /// The blocks whose records are kept, of the layers that are done.
@@ -162,7 +164,7 @@ impl Update<'_> {
         let reach = reach + 2;
         let first = [key.x, key.y].map(|c| i64::from(c) * side);
         let near = grid.extent_of(&Window { first: first.map(|c| c - reach), last: first.map(|c| c + side + reach) });
-        is_near_any(&self.changes, &near, elevation_margin(self.args, self.opened.pixel, &near))
+        is_near_any(&self.changes, &near, elevation_margin(self.args, self.pixel, &near))
     }
 
     /// Returns true if changed imagery lies in a tile, or within two of its texels.

@@ -73,6 +73,7 @@ impl<'a> TerrainUpdate<'a> {
             "the bounds are others, and reach across the date line".clone_into(&mut update.reason);
             return Ok(update);
         }
+        update.pixel = manifest.pixel_with(&old);
         update.changes = changes(&old.sources, &manifest.sources);
         update.has_same_gaps = match &before.gaps {
             // A set without changes has the same heights, which are not computed again.

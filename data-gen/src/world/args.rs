@@ -5,7 +5,7 @@ use super::preset::WorldPreset;
 /// Selects a world, and a place on it.
 #[derive(Clone, Debug, Default, PartialEq, clap::Args)]
 pub struct WorldArgs {
-    /// Make a piece of a planet from --seed, or the whole planet with --globe; its tiles are height tiles
+    /// Make a piece of a planet from --seed, or the whole planet with --globe
     #[arg(long, value_enum, value_name = "PRESET", conflicts_with_all = ["dem", "imagery"])]
     pub world: Option<WorldPreset>,
     /// Longitude and latitude of the middle of the terrain in degrees; by default a place with much relief

@@ -5,7 +5,7 @@
 //!                                            the points, whose rivers and glaciers cut valleys
 //!                                         -> surface: climate, and colours by biome, slope, water and ice
 //!                                         -> scatter: trees and rocks
-//!                                         -> EXR, JPEG and glb of the tile; tilesets of three levels
+//!                                         -> EXR and image, or a glb mesh of the tile; tilesets of three levels
 //! ```
 //!
 //! Noise is sampled in space, so that the poles and the antimeridian have no seams. A tile is computed alone, on any thread
@@ -13,11 +13,13 @@
 
 mod args;
 mod errors;
+mod form;
 mod planet;
 mod points;
 mod preset;
 mod relief;
 mod scatter;
+mod source;
 mod surface;
 mod tiles;
 mod tileset;
@@ -26,5 +28,6 @@ mod write;
 pub use args::WorldArgs;
 pub use planet::World;
 pub use preset::WorldPreset;
+pub(crate) use source::WorldSource;
 pub use tiles::{TileStep, WorldSet, WorldTile};
 pub(crate) use write::{check_world, world_set, write_world};

@@ -6,13 +6,14 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 use terrane::formats::writers::{write_height_exr, write_packed_heights};
 
 use super::errors::level_errors_m;
+use super::form::{MeshMeasures, TileForm, range_m, roughness};
 use super::planet::{RowBuffers, World};
 use super::points::{RADIUS_M, meridians, sin_cos};
 use super::scatter::{MAX_CELL_M, Scatter, TALLEST_M};
 use super::surface::{Lattice, Patch, TEXELS_PER_CELL};
-use crate::output::compress;
+use crate::output::{Look, compress};
 use crate::pyramid::{CELLS, QUANTUM_M};
-use crate::{Extent, GenError, TextureFormat, TileKey};
+use crate::{Extent, GenArgs, GenError, TileKey};
 
 /// A rectangle of a world as a quadtree of tiles.
 #[derive(Debug)]
@@ -21,24 +22,31 @@ pub struct WorldSet {
     extent: Extent,
     levels: u32,
     has_scatter: bool,
-    /// True if heights are packed instead of EXR.
-    is_packed: bool,
+    pub(super) form: TileForm,
     level_errors_m: OnceLock<Vec<f64>>,
     /// Buffers of the threads that make tiles. Neighbouring tiles have rivers in common, which the buffers keep.
     buffers: Mutex<Vec<RowBuffers>>,
 }
 
-/// The files of a tile.
+/// A tile that was made.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WorldTile {
-    /// Heights with a border of one sample, as EXR or packed.
-    pub heights: Vec<u8>,
-    /// Colours, as JPEG.
-    pub jpeg: Vec<u8>,
-    /// Trees and rocks as glb, on levels that have them.
-    pub scatter: Option<Vec<u8>>,
+    /// The extension of each file and its content: heights as `exr` or `heights` with an image beside, or a mesh as `glb`; and on levels
+    /// that have them trees and rocks, as `glb` beside heights and as `scatter.glb` beside meshes.
+    pub files: Vec<(&'static str, Vec<u8>)>,
     /// The lowest and the highest height in metres, that of the border included.
     pub range_m: [f32; 2],
+    /// Heights in metres with a border of one sample, southern row first.
+    pub(super) heights_m: Vec<f32>,
+    /// Those of a mesh.
+    pub(super) measures: MeshMeasures,
+}
+
+impl WorldTile {
+    /// Returns the content of the file with an extension, if the tile has it.
+    pub fn file(&self, extension: &str) -> Option<&[u8]> {
+        self.files.iter().find(|(of, _)| *of == extension).map(|(_, content)| content.as_slice())
+    }
 }
 
 /// A step of making a tile, in this order.
@@ -52,7 +60,7 @@ pub enum TileStep {
     Colors,
     /// The image was encoded.
     Image,
-    /// The heights were encoded.
+    /// The heights were encoded, or the mesh was made.
     HeightFile,
     /// Trees and rocks were placed, on levels that have them.
     Scatter,
@@ -71,7 +79,7 @@ impl WorldSet {
             extent,
             levels,
             has_scatter: false,
-            is_packed: false,
+            form: TileForm::default(),
             level_errors_m: OnceLock::new(),
             buffers: Mutex::default(),
         }
@@ -104,15 +112,26 @@ impl WorldSet {
         Self { has_scatter: true, ..self }
     }
 
-    /// Writes heights in the packed form, for [`ArchiveFormat::Packed`](crate::ArchiveFormat::Packed).
+    /// Makes tiles of the form that options ask for: their content, triangles, textures and archive.
     #[must_use]
-    pub(super) fn with_packed_heights(self) -> Self {
-        Self { is_packed: true, ..self }
+    pub fn with_form_of(self, args: &GenArgs) -> Self {
+        Self { form: TileForm::new(args), ..self }
     }
 
-    /// Returns the extension of the files of heights.
-    pub(super) fn heights_extension(&self) -> &'static str {
-        if self.is_packed { "heights" } else { "exr" }
+    /// Returns true if tiles are meshes.
+    pub(super) fn has_meshes(&self) -> bool {
+        self.form.mesh.is_some()
+    }
+
+    /// Returns true if files are put into a packed set.
+    pub(super) fn is_packed(&self) -> bool {
+        self.form.is_packed
+    }
+
+    /// Returns the extensions of the files of a level's tiles.
+    pub(super) fn extensions(&self, level: u32) -> impl Iterator<Item = &'static str> {
+        let scatter = self.has_scatter(level).then(|| self.form.scatter());
+        [self.form.surface()].into_iter().chain(self.form.imagery()).chain(scatter)
     }
 
     /// Returns true if the tiles of a level have trees and rocks.
@@ -158,6 +177,11 @@ impl WorldSet {
         key.level < self.levels && key.x >> key.level == 0 && key.y >> key.level == 0
     }
 
+    /// Returns true if a tile of the set has a file with an extension.
+    pub fn has_file(&self, key: TileKey, extension: &str) -> bool {
+        self.contains(key) && self.extensions(key.level).any(|of| of == extension)
+    }
+
     /// Returns the rectangle of a tile.
     pub fn extent(&self, key: TileKey) -> Extent {
         let lattice = self.lattice(key, 0);
@@ -186,7 +210,8 @@ impl WorldSet {
 
     /// Returns the heights of a tile's vertices in metres, row by row from the north, with a border of one sample.
     pub fn heights_m(&self, key: TileKey) -> Vec<f32> {
-        self.with_buffers(|buffers| heights_m(&self.patch(key, buffers)))
+        let southern_first = self.with_buffers(|buffers| heights_m(&self.patch(key, buffers)));
+        northern_first(&southern_first)
     }
 
     /// Computes the files of a tile.
@@ -210,29 +235,49 @@ impl WorldSet {
         done(TileStep::Drainage);
         let mut patch = Patch::new(&self.world, lattice, CELLS, buffers);
         done(TileStep::Heights);
-        let side = (TEXELS_PER_CELL * CELLS) as u16;
-        let rgb = patch.paint(&self.world, buffers);
+        let has_scatter = self.has_scatter(key.level);
+        // Trees stand by the climate, which is found while the texels are painted.
+        let rgb = (self.form.texture.is_some() || has_scatter).then(|| patch.paint(&self.world, buffers));
         done(TileStep::Colors);
-        let jpeg = TextureFormat::Jpeg.encode(&rgb, side);
-        let jpeg = jpeg.map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
+        let side = (TEXELS_PER_CELL * CELLS) as u16;
+        let encoded = self.form.texture.zip(rgb).map(|(format, rgb)| format.encode(&rgb, side)).transpose();
+        let image = encoded.map_err(|e| GenError::Encode(format!("image of tile {key:?}: {e}")))?;
         done(TileStep::Image);
-        let name = format!("{}/{}/{}.{}", key.level, key.x, key.y, self.heights_extension());
-        let heights = heights_m(&patch);
-        let range_m = heights.iter().fold([f32::INFINITY, f32::NEG_INFINITY], |[l, h], m| [l.min(*m), h.max(*m)]);
-        let side = CELLS + 3;
-        let heights = match self.is_packed {
-            true => {
-                // The rows of packed heights begin in the south.
-                let rows: Vec<f32> = heights.chunks(side).rev().flatten().copied().collect();
-                write_packed_heights(&name, side, QUANTUM_M, &rows, compress)
+        let heights_m = heights_m(&patch);
+        let (mut files, mut measures) = (Vec::new(), MeshMeasures::default());
+        match &self.form.mesh {
+            Some(form) => {
+                let mut look = Look { image, ..Look::default() };
+                if look.image.is_some() {
+                    let failed = |e| GenError::Encode(format!("roughness of tile {key:?}: {e}"));
+                    look.roughness = roughness(&patch.water(&self.world)).map_err(failed)?;
+                }
+                let made = self.mesh(form, key, heights_m.clone(), look)?;
+                measures = made.measures;
+                files.push(("glb", made.glb));
             }
-            false => write_height_exr(&name, side, heights),
-        };
-        let heights = heights.map_err(|e| GenError::Encode(e.to_string()))?;
+            None => {
+                files.push((self.form.surface(), self.height_file(key, &heights_m)?));
+                files.extend(self.form.imagery().zip(image));
+            }
+        }
         done(TileStep::HeightFile);
-        let scatter = self.has_scatter(key.level).then(|| self.scatter(&patch).glb());
+        if has_scatter {
+            files.push((self.form.scatter(), self.scatter(&patch).glb()));
+        }
         done(TileStep::Scatter);
-        Ok(WorldTile { heights, jpeg, scatter, range_m })
+        Ok(WorldTile { files, range_m: range_m(&heights_m), heights_m, measures })
+    }
+
+    fn height_file(&self, key: TileKey, heights_m: &[f32]) -> Result<Vec<u8>, GenError> {
+        let name = format!("{}/{}/{}.{}", key.level, key.x, key.y, self.form.surface());
+        let side = CELLS + 3;
+        let file = match self.form.is_packed {
+            // The rows of packed heights begin in the south.
+            true => write_packed_heights(&name, side, QUANTUM_M, heights_m, compress),
+            false => write_height_exr(&name, side, northern_first(heights_m)),
+        };
+        file.map_err(|e| GenError::Encode(e.to_string()))
     }
 
     /// Returns bounds of the heights in a tile, in metres. They are those of every fourth vertex, which are the vertices of
@@ -265,8 +310,13 @@ pub(super) fn rounded(height_m: f32) -> f32 {
     ((f64::from(height_m) / QUANTUM_M).round() * QUANTUM_M) as f32
 }
 
+/// Returns the heights of a tile with a border of one sample, southern row first.
 fn heights_m(patch: &Patch) -> Vec<f32> {
     let last = CELLS as i64 + 1;
-    let rows = (-1..=last).rev();
-    rows.flat_map(|row| (-1..=last).map(move |column| rounded(patch.surface_m(column, row)))).collect()
+    (-1..=last).flat_map(|row| (-1..=last).map(move |column| rounded(patch.surface_m(column, row)))).collect()
+}
+
+/// Returns the same heights, northern row first.
+fn northern_first(heights_m: &[f32]) -> Vec<f32> {
+    heights_m.chunks(CELLS + 3).rev().flatten().copied().collect()
 }

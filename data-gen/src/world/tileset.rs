@@ -1,8 +1,13 @@
 //! Describes the tiles of a world: one tileset of 3D Tiles for each subtree of three levels, so that each can be written without the
 //! others, or one tileset with implicit tiling and its subtree files.
 
+use std::f64::consts::PI;
+
 use serde_json::{Value, json};
 
+use super::form::Described;
+use super::points::{RADIUS_M, sin_cos};
+use super::scatter::WIDEST_M;
 use super::tiles::WorldSet;
 use crate::TileKey;
 use crate::output::{Entry, SUBTREE_LEVELS, SUBTREES, descendants, subtree, subtree_name, tile_class};
@@ -10,6 +15,9 @@ use crate::pyramid::{CELLS, QUANTUM_M};
 
 /// The number of levels in a tileset.
 pub(super) const LEVELS_PER_TILESET: u32 = 3;
+
+/// Describes a tile.
+type Describe<'a> = &'a dyn Fn(TileKey) -> Described;
 
 impl WorldSet {
     /// Returns the path of the tileset whose root is a tile, relative to the folder of the set. `None` if the tile is not
@@ -22,68 +30,100 @@ impl WorldSet {
         })
     }
 
-    /// Returns the tileset whose root is a tile. `None` if the tile is not the root of a tileset.
+    /// Returns the tileset whose root is a tile. `None` if the tile is not the root of a tileset. It is computed alone: the errors of
+    /// meshes are those of their level, and their volumes wider than in the tilesets that a run writes.
     pub fn tileset(&self, key: TileKey) -> Option<String> {
+        self.tileset_by(key, &|key| self.expected(key))
+    }
+
+    /// Like [`Self::tileset`], with descriptions of the tiles.
+    pub(super) fn tileset_by(&self, key: TileKey, describe: Describe<'_>) -> Option<String> {
         self.tileset_path(key)?;
         let up = if key.level == 0 { "" } else { "../../" };
-        Some(self.tileset_of(key.level, self.tile_json(key, key.level + LEVELS_PER_TILESET, up)).to_string())
+        let root = self.tile_json(key, key.level + LEVELS_PER_TILESET, up, describe);
+        Some(self.tileset_of(key.level, root).to_string())
     }
 
     /// Returns the tileset around a root tile of a level.
     fn tileset_of(&self, level: u32, mut root: Value) -> Value {
         let errors_m = self.level_errors_m();
-        let extras = json!({ "terrane": {
-            "format": 1, "content": "height", "layout": "wgs84", "side": CELLS + 1, "border": 1,
-            "quantum_m": QUANTUM_M, "level": level, "level_errors_m": errors_m,
-        } });
+        let mut asset = json!({ "version": "1.1", "generator": "terrane" });
+        if self.form.mesh.is_none() {
+            asset["extras"] = json!({ "terrane": {
+                "format": 1, "content": "height", "layout": "wgs84", "side": CELLS + 1, "border": 1,
+                "quantum_m": QUANTUM_M, "level": level, "level_errors_m": errors_m,
+            } });
+        }
+        let error_m = root["geometricError"].as_f64().unwrap_or_default().max(errors_m[level as usize]);
         root["refine"] = "REPLACE".into();
-        json!({
-            "asset": { "version": "1.1", "generator": "terrane", "extras": extras },
-            "geometricError": 2.0 * errors_m[level as usize],
-            "root": root,
-        })
+        json!({ "asset": asset, "geometricError": 2.0 * error_m, "root": root })
     }
 
-    /// Returns the tileset of implicit tiling. The trees and rocks of tiles are a second content.
+    /// Returns the tileset of implicit tiling. The trees and rocks of tiles are a second content. It is computed alone, as
+    /// [`Self::tileset`].
     pub fn implicit_tileset(&self) -> String {
-        let root = TileKey { level: 0, x: 0, y: 0 };
-        let e = self.extent(root);
-        let [low_m, high_m] = self.bounds_m(root);
-        let template = |extension: &str| json!({ "uri": format!("{{level}}/{{x}}/{{y}}.{extension}") });
+        self.implicit_tileset_by(&|key| self.expected(key))
+    }
+
+    /// Like [`Self::implicit_tileset`], with descriptions of the tiles.
+    pub(super) fn implicit_tileset_by(&self, describe: Describe<'_>) -> String {
+        let Described { geometric_error_m, heights_m: [low_m, high_m] } = describe(TileKey::ROOT);
+        let template = |extension: &str| format!("{{level}}/{{x}}/{{y}}.{extension}");
+        let content = |extension: &str| json!({ "uri": template(extension) });
         let mut tile = json!({
-            "boundingVolume": { "region": [e.west, e.south, e.east, e.north, low_m, high_m] },
-            "geometricError": self.level_errors_m()[0],
+            "boundingVolume": { "region": self.region(TileKey::ROOT, [low_m, high_m], 0.0) },
+            "geometricError": geometric_error_m,
             "implicitTiling": {
                 "subdivisionScheme": "QUADTREE", "subtreeLevels": SUBTREE_LEVELS, "availableLevels": self.levels(),
                 "subtrees": { "uri": SUBTREES },
             },
-            "contents": [template(self.heights_extension())],
-            "extras": { "terrane": { "imagery": "{level}/{x}/{y}.jpg" } },
+            "contents": [content(self.form.surface())],
         });
+        if let Some(imagery) = self.form.imagery() {
+            tile["extras"] = json!({ "terrane": { "imagery": template(imagery) } });
+        }
         if self.has_instances() {
-            tile["contents"] = json!([template(self.heights_extension()), template("glb")]);
+            tile["contents"] = json!([content(self.form.surface()), content(self.form.scatter())]);
         }
         let mut tileset = self.tileset_of(0, tile);
         tileset["schema"] = json!({ "id": "terrane", "classes": { "tile": tile_class() } });
         tileset.to_string()
     }
 
-    /// Returns the name and the bytes of the subtree file whose root is a tile. `None` if the tile is not the root of one.
+    /// Returns the region of a tile, wider by some metres on all sides: west, south, east and north in radians, lowest and highest height
+    /// in metres.
+    fn region(&self, key: TileKey, [low_m, high_m]: [f64; 2], margin_m: f64) -> [f64; 6] {
+        let e = self.extent(key);
+        let dy = margin_m / RADIUS_M;
+        let dx = dy / sin_cos(e.south.abs().max(e.north.abs())).1.max(0.01);
+        [
+            (e.west - dx).max(-PI).min(e.west),
+            (e.south - dy).max(-0.5 * PI),
+            (e.east + dx).min(PI).max(e.east),
+            (e.north + dy).min(0.5 * PI),
+            low_m,
+            high_m,
+        ]
+    }
+
+    /// Returns the name and the bytes of the subtree file whose root is a tile. `None` if the tile is not the root of one. It is computed
+    /// alone, as [`Self::tileset`].
     pub fn subtree(&self, root: TileKey) -> Option<(String, Vec<u8>)> {
+        self.subtree_by(root, &|key| self.expected(key))
+    }
+
+    /// Like [`Self::subtree`], with descriptions of the tiles.
+    pub(super) fn subtree_by(&self, root: TileKey, describe: Describe<'_>) -> Option<(String, Vec<u8>)> {
         if !self.contains(root) || !root.level.is_multiple_of(SUBTREE_LEVELS) {
             return None;
         }
-        let errors_m = self.level_errors_m();
+        let entry = |key: TileKey| {
+            let Described { geometric_error_m, heights_m } = describe(key);
+            Entry { key, contents: if self.has_scatter(key.level) { 0b11 } else { 0b01 }, geometric_error_m, heights_m }
+        };
         let tiles: Vec<Option<Entry>> = (0..SUBTREE_LEVELS)
             .flat_map(|level| descendants(root, level))
-            .map(|key| {
-                self.contains(key).then(|| Entry {
-                    key,
-                    contents: if self.has_scatter(key.level) { 0b11 } else { 0b01 },
-                    geometric_error_m: errors_m[key.level as usize],
-                    heights_m: self.bounds_m(key),
-                })
-            })
+            .map(|key| self.contains(key).then(|| entry(key)))
             .collect();
         let has_child: Vec<bool> = descendants(root, SUBTREE_LEVELS).map(|child| self.contains(child)).collect();
         let contents = if self.has_instances() { 2 } else { 1 };
@@ -91,31 +131,29 @@ impl WorldSet {
     }
 
     /// Returns a tile and its descendants on the levels before `end`. Their children there are external tilesets.
-    fn tile_json(&self, key: TileKey, end: u32, up: &str) -> Value {
-        let e = self.extent(key);
-        let error_m = self.level_errors_m()[key.level as usize];
-        let [low_m, high_m] = self.bounds_m(key);
-        let region = [e.west, e.south, e.east, e.north, low_m, high_m];
-        let mut tile = json!({ "boundingVolume": { "region": region }, "geometricError": error_m });
+    fn tile_json(&self, key: TileKey, end: u32, up: &str, describe: Describe<'_>) -> Value {
+        let Described { geometric_error_m, heights_m } = describe(key);
+        // Trees and rocks at an edge reach over it. Height tiles are placed by their regions, which are theirs alone.
+        let margin_m = if self.has_meshes() && self.has_instances() { WIDEST_M } else { 0.0 };
+        let region = self.region(key, heights_m, margin_m);
+        let mut tile = json!({ "boundingVolume": { "region": region }, "geometricError": geometric_error_m });
         if key.level == end {
             let path = self.tileset_path(key).unwrap_or_default();
             tile["content"] = json!({ "uri": format!("{up}{path}") });
             return tile;
         }
         let name = format!("{up}{}/{}/{}", key.level, key.x, key.y);
-        let heights = json!({ "uri": format!("{name}.{}", self.heights_extension()) });
+        let content = |extension: &str| json!({ "uri": format!("{name}.{extension}") });
         match self.has_scatter(key.level) {
-            true => tile["contents"] = json!([heights, { "uri": format!("{name}.glb") }]),
-            false => tile["content"] = heights,
+            true => tile["contents"] = json!([content(self.form.surface()), content(self.form.scatter())]),
+            false => tile["content"] = content(self.form.surface()),
         }
-        tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.jpg") } });
+        if let Some(imagery) = self.form.imagery() {
+            tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.{imagery}") } });
+        }
         if key.level + 1 < self.levels() {
-            let children = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| TileKey {
-                level: key.level + 1,
-                x: 2 * key.x + dx,
-                y: 2 * key.y + dy,
-            });
-            tile["children"] = children.map(|child| self.tile_json(child, end, up)).to_vec().into();
+            let children = key.children().map(|child| self.tile_json(child, end, up, describe));
+            tile["children"] = children.to_vec().into();
         }
         tile
     }

@@ -4,17 +4,22 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
+use super::form::Described;
 use super::planet::World;
-use super::tiles::WorldSet;
-use crate::args::{Color, ContentKind, GenArgs};
-use crate::output::{BlockFile, CompleteTile, Inputs, Journal, Kind, SUBTREE_LEVELS, TileList, Tiling, write_whole};
-use crate::{GenError, Progress, Sharding, Summary, TileArgs, TileKey};
+use super::tiles::{WorldSet, WorldTile};
+use super::tileset::LEVELS_PER_TILESET;
+use crate::args::{ContentKind, GenArgs};
+use crate::output::{BlockFile, Journal, Kind, ListedTile, SUBTREE_LEVELS, TileList, Tiling, descendants, write_whole};
+use crate::pyramid::{CELLS, Samples, Window, distance_to_finer_m};
+use crate::{GenError, Progress, Sharding, Summary, TileKey};
 
 /// Returns the set that the options describe; `None` without `--world`.
 pub(crate) fn world_set(args: &GenArgs, default_levels: u32) -> Option<WorldSet> {
     let preset = args.world.world?;
     let world = World::new(preset, args.seed);
-    let levels = args.levels.unwrap_or(default_levels);
+    // Terrain for globes counts levels from that of the whole earth.
+    let own_levels = args.levels.filter(|_| args.content != ContentKind::QuantizedMesh);
+    let levels = own_levels.unwrap_or(default_levels);
     let set = match args.world.center {
         _ if args.world.globe => WorldSet::globe(world, levels),
         Some(degrees) => WorldSet::square(world, degrees.map(f64::to_radians), args.size, levels),
@@ -23,7 +28,7 @@ pub(crate) fn world_set(args: &GenArgs, default_levels: u32) -> Option<WorldSet>
             WorldSet::square(world, place, args.size, levels)
         }
     };
-    let set = if args.output.is_packed() { set.with_packed_heights() } else { set };
+    let set = set.with_form_of(args);
     Some(if args.world.scatter { set.with_scatter() } else { set })
 }
 
@@ -33,134 +38,309 @@ const LOOSE: &str = ".tiles";
 /// The largest number of levels of a world in a folder. `terrane serve --procedural` makes tiles of finer ones on demand.
 const MAX_LEVELS: u32 = 9;
 
-/// Checks options that have no effect with `--world`.
+/// Checks options that have no effect with `--world`, or only with it.
 pub(crate) fn check_world(args: &GenArgs) -> Result<(), String> {
-    match args.world.world {
-        Some(_) if args.content != ContentKind::Height => {
-            Err("--world makes height tiles; other values of --content are not supported".to_owned())
-        }
-        Some(_) if args.color == Color::None => Err("--color none is not supported with --world".to_owned()),
-        Some(_) if args.levels.is_some_and(|levels| levels > MAX_LEVELS) => Err(format!(
-            "--levels above {MAX_LEVELS} are not supported with --world; `terrane serve --procedural` makes them"
-        )),
-        Some(_) if args.sharding != Sharding::default() => {
-            Err("--plan, --shard and --merge are not supported with --world".to_owned())
-        }
-        Some(_) if args.tiles != TileArgs::default() => {
-            Err("--mesh, --no-meshopt, --normal-maps and --texture have no effect with --world".to_owned())
-        }
-        Some(_) if !args.imagery.is_empty() => Err("--imagery has no effect with --world".to_owned()),
-        None if args.world.center.is_some() || args.world.globe || args.world.scatter => {
-            Err("--center, --globe and --scatter have no effect without --world".to_owned())
-        }
-        _ => Ok(()),
+    let world = &args.world;
+    if world.world.is_none() {
+        return match world.center.is_some() || world.globe || world.scatter {
+            true => Err("--center, --globe and --scatter have no effect without --world".to_owned()),
+            false => Ok(()),
+        };
     }
+    let is_terrain = args.content == ContentKind::QuantizedMesh;
+    let problem = match args.content {
+        _ if !args.imagery.is_empty() => "--imagery has no effect with --world",
+        ContentKind::QuantizedMesh if world.scatter => "--scatter has no effect with --content quantized-mesh",
+        ContentKind::Height if args.tiles.no_meshopt => {
+            "--no-meshopt has no effect with --world without --content mesh"
+        }
+        ContentKind::Mesh if args.output.is_packed() && world.scatter => {
+            "--scatter is not supported with --archive packed and --content mesh: packed tiles have one mesh"
+        }
+        _ if !is_terrain && args.sharding != Sharding::default() => {
+            "--plan, --shard and --merge are supported with --world only if --content is quantized-mesh"
+        }
+        _ if !is_terrain && args.levels.is_some_and(|levels| levels > MAX_LEVELS) => {
+            return Err(format!(
+                "--levels above {MAX_LEVELS} are not supported with --world; `terrane serve --procedural` makes them"
+            ));
+        }
+        _ => return Ok(()),
+    };
+    Err(problem.to_owned())
+}
+
+/// A tile whose files and those of all tiles below it are complete.
+#[derive(Clone, Debug, PartialEq)]
+struct MadeTile {
+    /// The size of its files in bytes.
+    bytes: u64,
+    /// The lowest and the highest height in metres.
+    range_m: [f32; 2],
+    /// Its description, as far as that depends on the tiles below it.
+    described: Described,
+    /// By level, for meshes: the largest distance between the finest samples in the tile and the grid of the tile that contains it,
+    /// in metres, for the levels above its own.
+    above_m: Vec<f64>,
+}
+
+impl ListedTile for MadeTile {
+    fn text(&self) -> String {
+        let Described { geometric_error_m, heights_m: [low_m, high_m] } = self.described;
+        let [lowest, highest] = self.range_m.map(f32::to_bits);
+        let numbers = [geometric_error_m, low_m, high_m].into_iter().chain(self.above_m.iter().copied());
+        let numbers: String = numbers.map(|number| format!(" {:x}", number.to_bits())).collect();
+        format!("{} {lowest:x} {highest:x}{numbers}", self.bytes)
+    }
+
+    fn parse(text: &str) -> Option<Self> {
+        let mut words = text.split(' ');
+        let bytes = words.next()?.parse().ok()?;
+        let mut height = || Some(f32::from_bits(u32::from_str_radix(words.next()?, 16).ok()?));
+        let range_m = [height()?, height()?];
+        let numbers: Option<Vec<f64>> =
+            words.map(|word| Some(f64::from_bits(u64::from_str_radix(word, 16).ok()?))).collect();
+        let numbers = numbers?;
+        let [geometric_error_m, low_m, high_m, above_m @ ..] = numbers.as_slice() else { return None };
+        let described = Described { geometric_error_m: *geometric_error_m, heights_m: [*low_m, *high_m] };
+        Some(Self { bytes, range_m, described, above_m: above_m.to_vec() })
+    }
+}
+
+/// Makes the tiles of a set. Threads share it.
+struct Run<'a> {
+    set: &'a WorldSet,
+    /// The folder of the files of tiles.
+    folder: &'a Path,
+    list: TileList<MadeTile>,
+    progress: Progress,
+}
+
+impl Run<'_> {
+    /// Makes a tile and all tiles below it, unless an earlier run has. `above` are the tiles that contain it, the root first, with
+    /// their heights.
+    fn make(&self, key: TileKey, above: &[(TileKey, &[f32])]) -> Result<MadeTile, GenError> {
+        if let Some(complete) = self.list.get(key) {
+            let below: u64 = (0..self.set.levels() - key.level).map(|level| 1 << (2 * level)).sum();
+            self.progress.advance(below);
+            return Ok(complete);
+        }
+        let tile = self.set.tile(key)?;
+        let stem = self.folder.join(format!("{}/{}/{}", key.level, key.x, key.y));
+        let written =
+            tile.files.iter().map(|(extension, content)| write_whole(&stem.with_extension(extension), content));
+        let bytes = written.sum::<Result<u64, GenError>>()?;
+        self.progress.advance(1);
+        let mut path = above.to_vec();
+        path.push((key, &tile.heights_m));
+        let below: Vec<MadeTile> = match key.level + 1 < self.set.levels() {
+            true => key.children().par_iter().map(|child| self.make(*child, &path)).collect::<Result<_, _>>()?,
+            false => Vec::new(),
+        };
+        let (described, above_m) = self.describe(key, &tile, above, &below);
+        let made = MadeTile { bytes, range_m: tile.range_m, described, above_m };
+        self.list.add(key, &made)?;
+        Ok(made)
+    }
+
+    /// Returns the description of a tile, and [`MadeTile::above_m`].
+    fn describe(
+        &self,
+        key: TileKey,
+        tile: &WorldTile,
+        above: &[(TileKey, &[f32])],
+        below: &[MadeTile],
+    ) -> (Described, Vec<f64>) {
+        let set = self.set;
+        let errors_m = set.level_errors_m();
+        let [mut low_m, mut high_m] = tile.range_m.map(f64::from);
+        if !set.has_meshes() {
+            // All tiles of a level have one error, and their volumes are known without the tiles below.
+            let geometric_error_m = errors_m[key.level as usize];
+            return (Described { geometric_error_m, heights_m: [low_m, high_m] }, Vec::new());
+        }
+        let mut above_m = vec![0.0; above.len()];
+        let mut own_m = 0.0f64;
+        for child in below {
+            above_m.iter_mut().zip(&child.above_m).for_each(|(most, own)| *most = own.max(*most));
+            own_m = own_m.max(child.above_m.get(key.level as usize).copied().unwrap_or(0.0));
+        }
+        if below.is_empty() {
+            let samples = own_samples(key, &tile.heights_m);
+            for ((coarser, heights_m), most) in above.iter().zip(&mut above_m) {
+                let height_m = |i: i64, j: i64| heights_m[(j + 1) as usize * (CELLS + 3) + (i + 1) as usize];
+                *most = distance_to_finer_m(&set.extent(TileKey::ROOT), *coarser, height_m, key, &samples);
+            }
+        }
+        high_m += set.tallest_m(key.level);
+        // The finest level is off from the world itself, too.
+        let finest_m = errors_m.last().copied().unwrap_or(0.0);
+        let mut described = set.described(key, [low_m, high_m], own_m + finest_m, tile.measures);
+        [low_m, high_m] = described.heights_m;
+        for Described { geometric_error_m, heights_m: [low, high] } in below.iter().map(|child| child.described) {
+            described.geometric_error_m = described.geometric_error_m.max(geometric_error_m);
+            (low_m, high_m) = (low_m.min(low), high_m.max(high));
+        }
+        described.heights_m = [low_m, high_m];
+        (described, above_m)
+    }
+}
+
+/// Returns the samples of a tile without those next to it, on the lattice of its level.
+fn own_samples(key: TileKey, heights_m: &[f32]) -> Samples {
+    let first = [key.x, key.y].map(|c| i64::from(c) * CELLS as i64);
+    let rows = heights_m.chunks(CELLS + 3).skip(1).take(CELLS + 1);
+    let values = rows.flat_map(|row| &row[1..=CELLS + 1]).copied().collect();
+    Samples { window: Window { first, last: first.map(|c| c + CELLS as i64) }, values }
+}
+
+/// Makes the folders of the tiles of a level, inside a folder.
+fn make_columns(folder: &Path, level: u32) -> Result<(), GenError> {
+    (0..1u32 << level).try_for_each(|x| {
+        let path = folder.join(format!("{level}/{x}"));
+        std::fs::create_dir_all(&path).map_err(GenError::file(&path))
+    })
 }
 
 /// Writes all tiles and tilesets of a set into a folder, on the threads of the current rayon pool. Tiles that a killed run has
 /// completed are not made again. The caller fills in the duration and the final folder of the summary.
 pub(crate) fn write_world(set: &WorldSet, tiling: Tiling, folder: &Path) -> Result<Summary, GenError> {
-    let keys: Vec<TileKey> = (0..set.levels())
-        .flat_map(|level| (0..1u32 << level).flat_map(move |x| (0..1 << level).map(move |y| TileKey { level, x, y })))
-        .collect();
-    let is_packed = set.heights_extension() == "heights";
+    let is_packed = set.is_packed();
     // Tilesets lie in the folder of the set, and so do tiles that are not packed.
     let loose = if is_packed { folder.join(LOOSE) } else { folder.to_path_buf() };
-    for folder in [folder, &loose] {
-        for (level, x) in (0..set.levels()).flat_map(|level| (0..1u32 << level).map(move |x| (level, x))) {
-            let path = folder.join(format!("{level}/{x}"));
-            std::fs::create_dir_all(&path).map_err(GenError::file(&path))?;
-        }
+    for level in 0..set.levels() {
+        make_columns(folder, level)?;
+        make_columns(&loose, level)?;
     }
-    let mut tileset_bytes = 0;
-    if tiling == Tiling::Implicit {
-        for (level, x) in (0..set.levels()).flat_map(|level| (0..1u32 << level).map(move |x| (level, x))) {
-            if level.is_multiple_of(SUBTREE_LEVELS) {
-                let path = folder.join(format!("subtrees/{level}/{x}"));
-                std::fs::create_dir_all(&path).map_err(GenError::file(&path))?;
-            }
-        }
-        tileset_bytes = write_whole(&folder.join("tileset.json"), set.implicit_tileset().as_bytes())?;
-    }
-    let progress = Progress::new("writing", keys.len() as u64, "tiles");
+    // Threads that make tiles would wait for the errors, and one of them would measure these.
+    set.level_errors_m();
+    let tiles: u64 = (0..set.levels()).map(|level| 1 << (2 * level)).sum();
     let journal = Journal::new(folder);
-    let list = journal.tiles(None)?;
-    let write = |name: &str, content: &[u8]| write_whole(&folder.join(name), content);
-    let make = |key: TileKey| {
-        let tile = set.tile(key)?;
-        let stem = loose.join(format!("{}/{}/{}", key.level, key.x, key.y));
-        let write_tile = |extension: &str, content: &[u8]| write_whole(&stem.with_extension(extension), content);
-        let mut bytes = write_tile(set.heights_extension(), &tile.heights)? + write_tile("jpg", &tile.jpeg)?;
-        if let Some(scatter) = &tile.scatter {
-            bytes += write_tile("glb", scatter)?;
-        }
-        match tiling {
-            Tiling::Explicit => {
-                if let (Some(path), Some(tileset)) = (set.tileset_path(key), set.tileset(key)) {
-                    bytes += write(&path, tileset.as_bytes())?;
-                }
-            }
-            Tiling::Implicit => {
-                if let Some((name, subtree)) = set.subtree(key) {
-                    bytes += write(&name, &subtree)?;
-                }
-            }
-        }
-        let (range_m, inputs) = (tile.range_m, Inputs::Data);
-        let complete = CompleteTile { bytes, range_m, data_m: range_m, own_m: range_m, voids: 0, inputs };
-        list.add(key, &complete)?;
-        Ok::<_, GenError>(complete)
-    };
-    let tiles = keys.par_iter().map(|&key| {
-        let complete = list.get(key).map_or_else(|| make(key), Ok)?;
-        progress.advance(1);
-        Ok::<_, GenError>(complete)
-    });
-    let tiles = tiles.map(|tile| tile.map(|tile| (tile.bytes, tile.range_m)));
-    let none = || (0, [f32::INFINITY, f32::NEG_INFINITY]);
-    let both = |a: (u64, [f32; 2]), b: (u64, [f32; 2])| Ok((a.0 + b.0, [a.1[0].min(b.1[0]), a.1[1].max(b.1[1])]));
-    let (bytes, [low_m, high_m]) = tiles.try_reduce(none, both)?;
-    drop(progress);
-    drop(list);
-    if is_packed {
-        pack(set, &journal.tiles(None)?, &loose, folder)?;
+    let progress = Progress::new("writing", tiles, "tiles");
+    Run { set, folder: &loose, list: journal.tiles(None)?, progress }.make(TileKey::ROOT, &[])?;
+    let list: TileList<MadeTile> = journal.tiles(None)?;
+    let mut bytes = write_tilesets(set, &list, tiling, folder)?;
+    let mut range_m = [f32::INFINITY, f32::NEG_INFINITY];
+    let mut level_errors_m = set.level_errors_m().to_vec();
+    if set.has_meshes() {
+        level_errors_m.fill(0.0);
     }
+    for (key, tile) in list.all() {
+        bytes += tile.bytes;
+        range_m = [range_m[0].min(tile.range_m[0]), range_m[1].max(tile.range_m[1])];
+        let error_m = &mut level_errors_m[key.level as usize];
+        *error_m = error_m.max(tile.described.geometric_error_m);
+    }
+    if is_packed {
+        pack(set, &list, &loose, folder)?;
+    }
+    drop(list);
     journal.remove()?;
     Ok(Summary {
         out: folder.to_path_buf(),
-        tiles: keys.len() as u64,
+        tiles,
         levels: set.levels(),
-        bytes: bytes + tileset_bytes,
-        min_height_m: low_m.into(),
-        max_height_m: high_m.into(),
+        bytes,
+        min_height_m: range_m[0].into(),
+        max_height_m: range_m[1].into(),
         filled_samples: 0,
         cut_samples: 0,
         notes: Vec::new(),
-        level_errors_m: set.level_errors_m().to_vec(),
+        level_errors_m,
         seconds: 0.0,
     })
 }
 
+/// Writes the tilesets, or the tileset of implicit tiling and its subtree files. Returns their bytes.
+fn write_tilesets(set: &WorldSet, list: &TileList<MadeTile>, tiling: Tiling, folder: &Path) -> Result<u64, GenError> {
+    let describe = |key: TileKey| match list.get(key) {
+        Some(tile) if set.has_meshes() => tile.described,
+        _ => set.expected(key),
+    };
+    let write = |name: &str, content: &[u8]| write_whole(&folder.join(name), content);
+    let roots = |levels: u32| -> Vec<TileKey> {
+        let levels = (0..set.levels()).filter(|level| level.is_multiple_of(levels));
+        levels.flat_map(|level| descendants(TileKey::ROOT, level)).collect()
+    };
+    let (roots, first) = match tiling {
+        Tiling::Explicit => (roots(LEVELS_PER_TILESET), 0),
+        Tiling::Implicit => {
+            for level in (0..set.levels()).filter(|level| level.is_multiple_of(SUBTREE_LEVELS)) {
+                make_columns(&folder.join("subtrees"), level)?;
+            }
+            (roots(SUBTREE_LEVELS), write("tileset.json", set.implicit_tileset_by(&describe).as_bytes())?)
+        }
+    };
+    let written = roots.par_iter().map(|key| {
+        let file = match tiling {
+            Tiling::Explicit => set.tileset_path(*key).zip(set.tileset_by(*key, &describe).map(String::into_bytes)),
+            Tiling::Implicit => set.subtree_by(*key, &describe),
+        };
+        file.map_or(Ok(0), |(name, content)| write(&name, &content))
+    });
+    Ok(first + written.sum::<Result<u64, GenError>>()?)
+}
+
 /// Puts the files of all tiles into the file of one block, level by level.
-fn pack(set: &WorldSet, list: &TileList, loose: &Path, folder: &Path) -> Result<(), GenError> {
+fn pack(set: &WorldSet, list: &TileList<MadeTile>, loose: &Path, folder: &Path) -> Result<(), GenError> {
     let mut block = BlockFile::create(folder, TileKey::ROOT)?;
     for level in 0..set.levels() {
-        let side = 1u32 << level;
-        let mut keys: Vec<TileKey> = (0..side).flat_map(|x| (0..side).map(move |y| TileKey { level, x, y })).collect();
-        keys.sort_by_key(|key| key.morton());
-        let files = [(Kind::Heights, "heights"), (Kind::Glb, "glb"), (Kind::Jpeg, "jpg")];
-        for key in keys {
+        // The files of a tile in the order of their kinds.
+        let mut files: Vec<(Kind, &str)> =
+            set.extensions(level).filter_map(|e| Some((Kind::of_extension(e)?, e))).collect();
+        files.sort_by_key(|(kind, _)| *kind as u8);
+        for key in descendants(TileKey::ROOT, level) {
             let stem = loose.join(format!("{level}/{}/{}", key.x, key.y));
-            for (kind, extension) in files.into_iter().filter(|(kind, _)| *kind != Kind::Glb || set.has_scatter(level))
-            {
+            for (kind, extension) in &files {
                 let path = stem.with_extension(extension);
-                block.add(key, kind, &std::fs::read(&path).map_err(GenError::file(&path))?)?;
+                block.add(key, *kind, &std::fs::read(&path).map_err(GenError::file(&path))?)?;
             }
         }
     }
-    let errors_m = set.level_errors_m();
     block.finish(|key| {
-        let range_m = list.get(key).map_or([0.0; 2], |tile| tile.range_m);
-        (errors_m.get(key.level as usize).copied().unwrap_or(0.0), range_m)
+        let none = || (0.0, [0.0; 2]);
+        list.get(key).map_or_else(none, |tile| (tile.described.geometric_error_m, tile.range_m))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Color, WorldPreset};
+
+    /// A subtree that a killed run has completed stays, and is measured as in a run of its own.
+    #[test]
+    fn meshes_below_complete_tiles_are_not_made_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let args = GenArgs { content: ContentKind::Mesh, color: Color::None, ..GenArgs::new("") };
+        let set = WorldSet::square(World::new(WorldPreset::Moon, 1), [0.3, 0.5], 20_000.0, 2).with_form_of(&args);
+        let [whole, continued] = ["whole", "continued"].map(|name| folder.path().join(name));
+        let wanted = write_world(&set, Tiling::Explicit, &whole).unwrap();
+        (0..2).for_each(|level| make_columns(&continued, level).unwrap());
+        let journal = Journal::new(&continued);
+        let (list, progress) = (journal.tiles(None).unwrap(), Progress::new("writing", 5, "tiles"));
+        let run = Run { set: &set, folder: &continued, list, progress };
+        let root = set.tile(TileKey::ROOT).unwrap();
+        run.make(TileKey { level: 1, x: 1, y: 0 }, &[(TileKey::ROOT, &root.heights_m)]).unwrap();
+        drop(run);
+        // The content shows whether the file is written again.
+        std::fs::write(continued.join("1/1/0.glb"), "complete").unwrap();
+        let made = write_world(&set, Tiling::Explicit, &continued).unwrap();
+        assert_eq!(Summary { out: wanted.out.clone(), ..made }, wanted);
+        let read = |set: &Path, name: &str| std::fs::read(set.join(name)).unwrap();
+        assert_eq!(read(&continued, "1/1/0.glb"), b"complete");
+        for name in ["tileset.json", "0/0/0.glb", "1/0/1.glb"] {
+            assert!(read(&continued, name) == read(&whole, name), "{name}");
+        }
+    }
+
+    #[test]
+    fn lines_of_complete_tiles_are_read_back() {
+        let described = Described { geometric_error_m: 0.3, heights_m: [-1e3 / 7.0, 9.5] };
+        for above_m in [Vec::new(), vec![1.5, 0.1]] {
+            let tile = MadeTile { bytes: 77, range_m: [-0.1, 8.5], described, above_m };
+            assert_eq!(MadeTile::parse(&tile.text()), Some(tile));
+        }
+        assert!(MadeTile::parse("77 0").is_none() && MadeTile::parse("77 0 0 0 0").is_none());
+    }
 }

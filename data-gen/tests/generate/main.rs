@@ -16,4 +16,5 @@ mod sets;
 mod sources;
 mod tiffs;
 mod tree;
+mod world_meshes;
 mod worlds;

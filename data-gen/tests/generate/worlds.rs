@@ -1,7 +1,7 @@
 //! Worlds from a seed: tiles that are computed alone, edges, errors, and the files of a set.
 
 use serde_json::Value;
-use terrane_data_gen::{GenArgs, TileKey, World, WorldArgs, WorldPreset, WorldSet, run};
+use terrane_data_gen::{GenArgs, Sharding, TileKey, World, WorldArgs, WorldPreset, WorldSet, run};
 
 const SIDE: usize = 67;
 
@@ -29,7 +29,7 @@ fn tile_computed_alone_has_the_bytes_of_the_set() {
     for key in [tile(0, 0, 0), tile(1, 1, 0), tile(2, 3, 2)] {
         let tile = set.tile(key).unwrap();
         let file = |end: &str| std::fs::read(out.join(format!("{}/{}/{}.{end}", key.level, key.x, key.y))).unwrap();
-        assert!(file("exr") == tile.heights && file("jpg") == tile.jpeg, "{key:?}");
+        assert!(file("exr") == tile.file("exr").unwrap() && file("jpg") == tile.file("jpg").unwrap(), "{key:?}");
     }
     let written = std::fs::read_to_string(out.join("tileset.json")).unwrap();
     assert_eq!(Some(written), set.tileset(tile(0, 0, 0)));
@@ -197,9 +197,13 @@ fn options_that_do_not_fit_are_refused() {
     let refused = |world: WorldArgs, content| {
         run(&GenArgs { world, content, ..GenArgs::new(folder.path().join("out")) }).unwrap_err().to_string()
     };
-    use terrane_data_gen::ContentKind::{Height, Mesh};
-    let world = Some(WorldPreset::Moon);
-    assert!(refused(WorldArgs { world, ..WorldArgs::default() }, Mesh).contains("--content"));
+    let shards = GenArgs {
+        world: WorldArgs { world: Some(WorldPreset::Moon), ..WorldArgs::default() },
+        sharding: Sharding { merge: true, ..Sharding::default() },
+        ..GenArgs::new(folder.path().join("out"))
+    };
+    assert!(run(&shards).unwrap_err().to_string().contains("--merge"));
+    use terrane_data_gen::ContentKind::Height;
     assert!(refused(WorldArgs { globe: true, ..WorldArgs::default() }, Height).contains("--world"));
     assert!(!folder.path().join("out").exists());
 }
@@ -271,7 +275,7 @@ fn trees_stand_on_the_ground_of_their_tile() {
     let mut stand = 0;
     for key in [tile(4, 3, 5), tile(4, 4, 5), tile(5, 7, 10), tile(5, 21, 20)] {
         let made = set.tile(key).unwrap();
-        let (json, places) = instances(made.scatter.as_ref().unwrap());
+        let (json, places) = instances(made.file("glb").unwrap());
         assert_eq!(places.len(), set.scatter_counts(key).iter().sum::<usize>());
         let Some(matrix) = json["nodes"][0]["matrix"].as_array() else { continue };
         let m: Vec<f64> = matrix.iter().map(|v| v.as_f64().unwrap()).collect();

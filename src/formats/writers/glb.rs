@@ -1,7 +1,7 @@
 //! Writes a minimal glb: one mesh, one material, embedded images of its colour and its normals (glTF 2.0, section "GLB File
 //! Format", KHR_mesh_quantization, KHR_texture_transform and EXT_meshopt_compression).
 
-use glam::{DMat4, DVec3, Vec3};
+use glam::DMat4;
 use serde_json::{Value, json};
 
 use super::buffers::{Accuracy, Buffers, Component, Elements, MESHOPT, bounds};
@@ -23,6 +23,8 @@ pub struct GlbMesh {
     pub normal_map: Option<GlbNormalMap>,
     /// Linear factor of the base colour.
     pub base_color: [f32; 4],
+    /// The roughness of the surface, which is no metal.
+    pub roughness: GlbRoughness,
     /// Writes 16 instead of 32 bytes per vertex with KHR_mesh_quantization. Positions have steps of 1/65,535 of the longest side
     /// of the bounding box, which the node's scale converts to metres. Normals and tangents have 8 bits, texture coordinates 16 bits.
     /// Texture coordinates outside of 0..1 stay floats. So does everything in a mesh without positions or with positions that
@@ -30,6 +32,18 @@ pub struct GlbMesh {
     pub quantized: bool,
     /// Maps the mesh to the frame of the file, which is y-up too; `None` for the same frame.
     pub file_from_mesh: Option<DMat4>,
+}
+
+/// The roughness of a [`GlbMesh`].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum GlbRoughness {
+    /// Rough everywhere, as the ground.
+    #[default]
+    Rough,
+    /// The same everywhere, from 0 (a mirror) to 1 (rough).
+    Even(f32),
+    /// The file of an image whose green is the roughness. It uses the texture coordinates.
+    Map(Vec<u8>),
 }
 
 /// The normal map of a [`GlbMesh`].
@@ -150,7 +164,8 @@ fn write(mesh: &GlbMesh, compressed: bool) -> Vec<u8> {
     }
     let indices: Vec<u32> = mesh.indices.iter().copied().map(u32::from).collect();
     let indices = buffers.indices(&indices, mesh.positions.len(), true);
-    let mut pbr = json!({ "metallicFactor": 0.0, "roughnessFactor": 1.0, "baseColorFactor": mesh.base_color });
+    let roughness = if let GlbRoughness::Even(roughness) = mesh.roughness { roughness } else { 1.0 };
+    let mut pbr = json!({ "metallicFactor": 0.0, "roughnessFactor": roughness, "baseColorFactor": mesh.base_color });
     let mut root = json!({
         "asset": { "version": "2.0", "generator": "terrane" },
         "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
@@ -163,10 +178,10 @@ fn write(mesh: &GlbMesh, compressed: bool) -> Vec<u8> {
                 root["nodes"][0]["translation"] = json!(low);
                 root["nodes"][0]["scale"] = json!([side, side, side]);
             }
+            // One matrix of both would round the axes of a large tile, so that they are not at right angles.
             Some(map) => {
-                let mesh_from_steps = DMat4::from_translation(Vec3::from(low).as_dvec3())
-                    * DMat4::from_scale(DVec3::splat(f64::from(side)));
-                root["nodes"][0]["matrix"] = json!((map * mesh_from_steps).to_cols_array());
+                let mesh = json!({ "mesh": 0, "translation": low, "scale": [side, side, side] });
+                root["nodes"] = json!([{ "matrix": map.to_cols_array(), "children": [1] }, mesh]);
             }
         }
         extensions.push("KHR_mesh_quantization");
@@ -177,6 +192,9 @@ fn write(mesh: &GlbMesh, compressed: bool) -> Vec<u8> {
     let mut images = Images::default();
     if let Some(image) = &mesh.image {
         pbr["baseColorTexture"] = json!({ "index": images.add(image, &mut buffers, &mut extensions) });
+    }
+    if let GlbRoughness::Map(map) = &mesh.roughness {
+        pbr["metallicRoughnessTexture"] = json!({ "index": images.add(map, &mut buffers, &mut extensions) });
     }
     let mut material = json!({ "pbrMetallicRoughness": pbr });
     let mut optional = None;

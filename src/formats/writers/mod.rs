@@ -9,7 +9,7 @@ mod order;
 mod packed_heights;
 mod quantized_mesh;
 
-pub use glb::{GlbMesh, GlbNormalMap, container as glb_container, write_compressed_glb, write_glb};
+pub use glb::{GlbMesh, GlbNormalMap, GlbRoughness, container as glb_container, write_compressed_glb, write_glb};
 pub use height::write_height_exr;
 pub(in crate::formats) use model::{Leaf, LeafShape, Model, write_model};
 pub use packed_heights::write_packed_heights;

@@ -17,9 +17,45 @@ use crate::scene::id::NONE;
 use crate::scene::nodes::{CameraNode, ReferenceFrame};
 
 impl Page {
-    /// Returns the sphere around everything, in the page's frame.
+    /// Returns the sphere around everything, in the page's frame. What has no bounds, such as a text of constant size on the
+    /// screen, counts with its position.
     pub fn bounding_sphere(&self) -> BoundingSphere {
-        self.node_sphere(0).unwrap_or(BoundingSphere::EMPTY)
+        self.node_sphere(0).unwrap_or_else(|| self.sphere_of_bounded_parts())
+    }
+
+    /// Returns the sphere around the parts with bounds, and the positions of billboards without.
+    fn sphere_of_bounded_parts(&self) -> BoundingSphere {
+        let mut whole = BoundingSphere::EMPTY;
+        let mut unbounded = vec![0];
+        while let Some(node) = unbounded.pop() {
+            let Some(record) = self.nodes().get(node) else { break };
+            if record.kind == kind::TILE {
+                continue;
+            }
+            let special = (record.kind == kind::SPECIAL).then(|| self.payloads()[node] as usize);
+            let positions = match special.and_then(|payload| self.rare_nodes().get(payload)) {
+                Some(RareNode::Billboard { positions, .. }) => positions.as_slice(),
+                _ => &[],
+            };
+            for (k, drawable) in self.nodes.drawables_of(node).enumerate() {
+                let transform = self.drawables.refs()[drawable].transform;
+                let part = match (self.drawables.box_in_page(drawable, &self.transforms), positions.get(k)) {
+                    (Some(bounds), _) => bounds.bounding_sphere(),
+                    (None, Some(position)) => {
+                        BoundingSphere::new(self.transforms.page_from_node(transform).transform_point3(*position), 0.0)
+                    }
+                    (None, None) => continue,
+                };
+                whole = whole.union(&part);
+            }
+            for child in self.nodes.children(node).filter(|child| !self.is_in_another_frame(*child)) {
+                match self.node_sphere(child as u32) {
+                    Some(sphere) => whole = whole.union(&sphere),
+                    None => unbounded.push(child),
+                }
+            }
+        }
+        whole
     }
 
     /// Returns the sphere around a node, in the page's frame; `None` if it has none. The sphere of a stale node is

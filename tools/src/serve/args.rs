@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args as ClapArgs;
-use terrane_data_gen::{Tiling, WorldPreset};
+use terrane_data_gen::{ContentKind, Tiling, WorldPreset};
 
 use super::faults::Fault;
 use crate::values::{amount, share};
@@ -20,6 +20,9 @@ pub struct ServeArgs {
     /// Put trees and rocks on the planet
     #[arg(long, requires = "procedural")]
     pub scatter: bool,
+    /// Content of the planet's tiles: height or mesh
+    #[arg(long, value_enum, default_value_t, requires = "procedural")]
+    pub content: ContentKind,
     /// Description of the planet's tile tree
     #[arg(long, value_enum, default_value_t, requires = "procedural")]
     pub tiling: Tiling,
@@ -83,6 +86,9 @@ pub struct ServeArgs {
 impl ServeArgs {
     /// Checks combinations of arguments.
     pub fn check(&self) -> Result<(), String> {
+        if self.content == ContentKind::QuantizedMesh {
+            return Err("--content quantized-mesh is not supported with --procedural; height and mesh are".to_owned());
+        }
         let all: f64 = self.rates().iter().map(|(rate, _)| rate).sum();
         if all <= 1.0 { Ok(()) } else { Err(format!("the rates are {all} together, more than 1")) }
     }
@@ -106,6 +112,7 @@ impl ServeArgs {
             folder: Some(folder.into()),
             procedural: None,
             scatter: false,
+            content: ContentKind::default(),
             tiling: Tiling::default(),
             port: 0,
             bind: "127.0.0.1".to_owned(),

@@ -47,7 +47,7 @@ impl Listening {
     /// Opens the port.
     fn new(args: ServeArgs) -> Result<Self> {
         args.check().map_err(Error::msg)?;
-        let procedural = args.procedural.map(|preset| Procedural::new(preset, args.seed, args.scatter, args.tiling));
+        let procedural = args.procedural.map(|preset| Procedural::new(preset, &args));
         let folder = match &args.folder {
             Some(folder) => folder.canonicalize().with_context(|| folder.display().to_string())?,
             None => PathBuf::new(),

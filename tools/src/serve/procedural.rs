@@ -4,7 +4,9 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use terrane_data_gen::{GenError, TileKey, Tiling, World, WorldPreset, WorldSet, WorldTile};
+use terrane_data_gen::{GenArgs, GenError, TileKey, Tiling, World, WorldPreset, WorldSet, WorldTile};
+
+use super::args::ServeArgs;
 
 /// The number of levels of a served planet. Cells of the finest level are about 0.15 m high and 0.3 m wide.
 const LEVELS: u32 = 22;
@@ -20,9 +22,11 @@ pub(super) struct Procedural {
 }
 
 impl Procedural {
-    pub(super) fn new(preset: WorldPreset, seed: u64, scatter: bool, tiling: Tiling) -> Self {
-        let set = WorldSet::globe(World::new(preset, seed), LEVELS);
-        Self { set: if scatter { set.with_scatter() } else { set }, tiling, kept: Mutex::default() }
+    pub(super) fn new(preset: WorldPreset, args: &ServeArgs) -> Self {
+        let form = GenArgs { content: args.content, ..GenArgs::new("") };
+        let set = WorldSet::globe(World::new(preset, args.seed), LEVELS).with_form_of(&form);
+        let set = if args.scatter { set.with_scatter() } else { set };
+        Self { set, tiling: args.tiling, kept: Mutex::default() }
     }
 
     /// Returns the bytes of a file by its path relative to the folder of the set. `None` if the set does not have it.
@@ -35,7 +39,7 @@ impl Procedural {
             return self.set.tileset(TileKey { level: 0, x: 0, y: 0 }).map(|text| Ok(text.into_bytes()));
         }
         let subtree = path.strip_prefix("subtrees/").filter(|_| is_implicit);
-        let (stem, extension) = subtree.unwrap_or(path).rsplit_once('.')?;
+        let (stem, extension) = subtree.unwrap_or(path).split_once('.')?;
         if (extension == "subtree") != subtree.is_some() {
             return None;
         }
@@ -46,14 +50,10 @@ impl Procedural {
             return None;
         }
         match extension {
-            "exr" => Some(self.tile(key).map(|tile| tile.heights.clone())),
-            "jpg" => Some(self.tile(key).map(|tile| tile.jpeg.clone())),
-            "glb" if self.set.has_scatter(key.level) => {
-                Some(self.tile(key).map(|tile| tile.scatter.clone().unwrap_or_default()))
-            }
             "subtree" => self.set.subtree(key).map(|(_, bytes)| Ok(bytes)),
             "json" if key.level > 0 && !is_implicit => self.set.tileset(key).map(|text| Ok(text.into_bytes())),
-            _ => None,
+            _ if !self.set.has_file(key, extension) => None,
+            _ => Some(self.tile(key).map(|tile| tile.file(extension).unwrap_or_default().to_vec())),
         }
     }
 

@@ -6,7 +6,7 @@ use std::process::Command;
 use crate::serve::served::Server;
 use kit::skip::no_adapter;
 use serde_json::Value;
-use terrane_data_gen::{TileKey, World, WorldPreset, WorldSet};
+use terrane_data_gen::{ContentKind, GenArgs, TileKey, World, WorldPreset, WorldSet};
 
 #[test]
 fn tiles_are_those_of_the_library_and_other_paths_are_missing() {
@@ -15,11 +15,12 @@ fn tiles_are_those_of_the_library_and_other_paths_are_missing() {
     let key = TileKey { level: 17, x: 70_000, y: 90_000 };
     let tile = set.tile(key).unwrap();
     let (status, head, body) = server.ask("GET", "/17/70000/90000.exr", "");
-    assert!(status == 200 && body == tile.heights, "{head}");
+    assert!(status == 200 && body == tile.file("exr").unwrap(), "{head}");
+    let jpeg = tile.file("jpg").unwrap();
     let (status, head, body) = server.ask("GET", "/17/70000/90000.jpg", "");
-    assert!(status == 200 && body == tile.jpeg && head.contains("image/jpeg"), "{head}");
+    assert!(status == 200 && body == jpeg && head.contains("image/jpeg"), "{head}");
     let (_, head, body) = server.ask("GET", "/17/70000/90000.jpg", "Range: bytes=2-5\r\n");
-    assert!(head.contains("206") && body == tile.jpeg[2..6], "{head}");
+    assert!(head.contains("206") && body == jpeg[2..6], "{head}");
     let tag = head.lines().find_map(|l| l.strip_prefix("ETag: ")).unwrap();
     assert_eq!(server.ask("GET", "/17/70000/90000.jpg", &format!("If-None-Match: {tag}\r\n")).0, 304);
     let (_, _, body) = server.ask("GET", "/tileset.json", "");
@@ -52,10 +53,30 @@ fn rocks_are_served_on_fine_levels_with_scatter() {
     let server = Server::start(Path::new(""), &["--procedural", "moon", "--scatter"]);
     let set = WorldSet::globe(World::new(WorldPreset::Moon, 1), 22).with_scatter();
     let key = TileKey { level: 14, x: 9_000, y: 9_000 };
-    let rocks = set.tile(key).unwrap().scatter.unwrap();
+    let tile = set.tile(key).unwrap();
+    let rocks = tile.file("glb").unwrap();
     let (status, head, body) = server.ask("GET", "/14/9000/9000.glb", "");
     assert!(status == 200 && body == rocks && head.contains("model/gltf-binary"), "{head}");
     assert_eq!(server.ask("GET", "/12/2000/2000.glb", "").0, 404, "cells of 76 m have none");
+}
+
+#[test]
+fn meshes_of_a_planet_are_those_of_the_library() {
+    let options = ["--procedural", "moon", "--scatter", "--content", "mesh"];
+    let server = Server::start(Path::new(""), &options);
+    let form = GenArgs { content: ContentKind::Mesh, ..GenArgs::new("") };
+    let set = WorldSet::globe(World::new(WorldPreset::Moon, 1), 22).with_form_of(&form).with_scatter();
+    let tile = set.tile(TileKey { level: 14, x: 9_000, y: 9_000 }).unwrap();
+    for extension in ["glb", "scatter.glb"] {
+        let (status, head, body) = server.ask("GET", &format!("/14/9000/9000.{extension}"), "");
+        assert!(status == 200 && body == tile.file(extension).unwrap() && head.contains("model/gltf-binary"), "{head}");
+    }
+    let (_, _, body) = server.ask("GET", "/12/2250/2250.json", "");
+    let tileset: Value = serde_json::from_slice(&body).unwrap();
+    assert_eq!(tileset["root"]["content"]["uri"], "../../12/2250/2250.glb");
+    for path in ["/14/9000/9000.exr", "/14/9000/9000.jpg", "/12/2250/2250.scatter.glb", "/14/9000.scatter/9000.glb"] {
+        assert_eq!(server.ask("GET", path, "").0, 404, "{path}");
+    }
 }
 
 #[test]

@@ -308,7 +308,7 @@ fn mesh_of(tile: &TileHeights, level: u32, range_m: [f32; 2], triangles: Triangl
         Triangles::Grid => Tin::grid(|_, _| [true; 2]),
         Triangles::Tin => {
             let limit_m = SHARE_OF_LEVEL * LEVEL_0_ERROR_M / f64::from(level).exp2();
-            Tin::of_samples(&|i, j| tile.height_m(i, j), &curvature_m, None, limit_m)
+            Tin::of_samples(&|i, j| tile.height_m(i, j), &curvature_m, None, &[limit_m], f64::INFINITY)
         }
     };
     let e = tile.extent;

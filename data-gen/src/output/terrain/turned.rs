@@ -44,6 +44,15 @@ impl ElevationSource for Turned<'_> {
         }
     }
 
+    fn heights_of_grid(&self, longitudes: &[f64], latitudes: &[f64], out: &mut [f32]) -> Result<bool, GenError> {
+        let turned: Vec<f64> = longitudes.iter().map(|longitude| self.longitude(*longitude)).collect();
+        // Columns on both sides of the source's western edge are no grid. Files are read by rows: a coarse tile may contain a large part.
+        if !self.source.is_formula() || !turned.is_sorted() {
+            return Ok(false);
+        }
+        self.source.heights_of_grid(&turned, latitudes, out)
+    }
+
     fn samples_in(&self, extent: &Extent, call: &mut dyn FnMut(SourceSample)) -> Result<(), GenError> {
         self.source.samples_in(extent, call)?;
         let Some(west) = self.west.filter(|west| extent.west < *west) else { return Ok(()) };

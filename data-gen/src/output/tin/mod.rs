@@ -60,14 +60,17 @@ impl Tin {
         Self { vertices, triangles, is_ordered: false, distance_m: 0.0 }
     }
 
-    /// Returns few triangles for the samples of a tile, by the functions of [`Surface::new`]. Samples are at most `limit_m` from
-    /// them, and closer where the tile is smooth.
+    /// Returns few triangles for the samples of a tile, by the functions of [`Surface::new`]. Samples are at most the first limit in
+    /// metres from them, and closer where the tile is smooth. If the triangles are farther than `most_m` from the grid between
+    /// samples, the next limits count for samples inside of the tile; its edges stay, which neighbours have too.
     pub fn of_samples(
         height_m: &dyn Fn(i64, i64) -> f32,
         curvature_m: &dyn Fn(i64) -> [f64; 2],
         has_data: Option<&dyn Fn(i64, i64) -> [bool; 2]>,
-        limit_m: f64,
+        limits_m: &[f64],
+        most_m: f64,
     ) -> Self {
+        let limit_m = limits_m.first().copied().unwrap_or(f64::INFINITY);
         let surface = Surface::new(CELLS + 1, height_m, curvature_m, has_data);
         let last = CELLS as i64;
         let edge = |at: fn(i64, i64) -> [i64; 2], curvature_m: f64| {
@@ -82,6 +85,13 @@ impl Tin {
             edge(|k, last| [k, last], curvature_m(last)[0]),
             edge(|k, _| [0, k], north_m),
         ];
-        triangulate(&surface, &edges, limit_m)
+        let mut tin = triangulate(&surface, &edges, limit_m);
+        for limit_m in limits_m.iter().skip(1) {
+            if tin.distance_m <= most_m {
+                break;
+            }
+            tin = triangulate(&surface, &edges, *limit_m);
+        }
+        tin
     }
 }

@@ -5,8 +5,9 @@
 
 use terrane::math::WGS84;
 
-use crate::pyramid::grid::Grid;
+use crate::pyramid::grid::{Extent, Grid};
 use crate::pyramid::samples::{Samples, Window};
+use crate::pyramid::tile::{CELLS, TileKey};
 
 /// A cell of a tile: its corner in columns and rows of the finest lattice, and its side in cells of that lattice.
 #[derive(Clone, Copy)]
@@ -50,6 +51,34 @@ impl Cell {
         let [east, north] = bulge.at(height_m);
         (surface - east * u * (1.0 - u) - north * v * (1.0 - v) - height_m).abs()
     }
+}
+
+/// Returns the largest vertical distance in metres between the grid of a tile and the samples of a finer tile inside. `set` is the
+/// rectangle of the set; `height_m` returns the height of a vertex of the coarser tile by its column and row.
+pub(crate) fn distance_to_finer_m(
+    set: &Extent,
+    key: TileKey,
+    height_m: impl Fn(i64, i64) -> f32,
+    finer: TileKey,
+    samples: &Samples,
+) -> f64 {
+    let side = CELLS as i64;
+    let (stride, cells) = (1i64 << (finer.level - key.level), side << finer.level);
+    let [x, y] = [finer.x, finer.y].map(|c| i64::from(c) * side);
+    let window = Window { first: [x, y], last: [x + side, y + side] };
+    let [left, low] = [key.x, key.y].map(|c| i64::from(c) * side);
+    let along = (side / stride).max(1);
+    let mut distance_m = 0.0f64;
+    for row in y / stride..y / stride + along {
+        let bulge = Bulge::new(set, cells, row * stride, stride);
+        for column in x / stride..x / stride + along {
+            let (i, j) = (column - left, row - low);
+            let corners = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(di, dj)| f64::from(height_m(i + di, j + dj)));
+            let cell = Cell { first: [column * stride, row * stride], stride, corners };
+            distance_m = distance_m.max(cell.error_m(&bulge, samples, &window));
+        }
+    }
+    distance_m
 }
 
 /// Returns the largest distance between samples of a row and a surface: `start + slope * u - east * u * (1 - u)`, where `u` of the
@@ -162,8 +191,12 @@ pub(super) struct Bulge {
 impl Bulge {
     /// Returns the bulge over cells of `stride` finest cells whose southern edge is the row `j` of the finest lattice.
     pub fn of_row(grid: &Grid<'_>, j: i64, stride: i64) -> Self {
-        let (e, cells) = (grid.extent, grid.cells(0) as f64);
-        let side = stride as f64;
+        Self::new(&grid.extent, grid.cells(0), j, stride)
+    }
+
+    /// Like [`Self::of_row`], for a rectangle with a number of finest cells along a side.
+    fn new(e: &Extent, cells: i64, j: i64, stride: i64) -> Self {
+        let (cells, side) = (cells as f64, stride as f64);
         let (d_lon, d_lat) = ((e.east - e.west) / cells * side, (e.north - e.south) / cells * side);
         let south = e.south + (e.north - e.south) * (j as f64 / cells);
         // The latitude at which the cells are widest.

@@ -10,6 +10,7 @@ mod measured;
 use std::ops::RangeInclusive;
 
 use self::cell::Bulge;
+pub(crate) use self::cell::distance_to_finer_m;
 use super::dependencies::Dependencies;
 use super::fill::BOX;
 use super::grid::{Extent, Grid};

@@ -126,6 +126,23 @@ impl Patch {
         self.lattice
     }
 
+    /// Returns the share of open water in each cell inside of the margin, 0 to 255, northern row first. The colours were painted before.
+    pub fn water(&self, world: &World) -> Vec<u8> {
+        let s = &self.samples;
+        let is_wet = world.parameters.climate.has_life && world.parameters.relief.rivers.flow != Flow::Dry;
+        let water = |at: usize| {
+            let is_frozen = s.sea_level_c[at] + 2.0 * s.patch[at] < -10.0;
+            if is_wet && !is_frozen { smooth(-0.15, 0.15, s.depth_m[at]) } else { 0.0 }
+        };
+        let cells = self.stride - 1 - 2 * MARGIN;
+        let corners = [0, 1, self.stride, self.stride + 1];
+        let share = |row: usize, column: usize| {
+            let at = (row + MARGIN) * self.stride + column + MARGIN;
+            (255.0 * 0.25 * corners.map(|corner| water(at + corner)).iter().sum::<f32>()).round() as u8
+        };
+        (0..cells).rev().flat_map(|row| (0..cells).map(move |column| share(row, column))).collect()
+    }
+
     /// Returns the ground at a place between samples, `x` and `y` cells from the first one inside the margin, on the
     /// triangles that are drawn. The colours were painted before.
     pub fn site(&self, world: &World, x: f64, y: f64) -> Site {

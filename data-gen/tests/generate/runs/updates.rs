@@ -11,15 +11,19 @@ use terrane_data_gen::{Color, ContentKind, GenArgs, OutputArgs, RunArgs, run};
 const PIXEL: f64 = 1.0 / 360.0;
 
 /// Writes a square of hills with a north-western corner in degrees and a side in pixels.
-pub fn hills(folder: &Path, name: &str, [west, north]: [f64; 2], side: u32, seed: u32) -> PathBuf {
+pub fn hills(folder: &Path, name: &str, corner: [f64; 2], side: u32, seed: u32) -> PathBuf {
+    hills_of(folder, name, corner, [PIXEL; 2], side, seed)
+}
+
+/// Like [`hills`], with a size of pixels in degrees.
+fn hills_of(folder: &Path, name: &str, [west, north]: [f64; 2], pixel: [f64; 2], side: u32, seed: u32) -> PathBuf {
     let height = |k: u32| {
         let (x, y) = (f64::from(k % side), f64::from(k / side));
         let wave = f64::from(seed) * 3.0;
         (500.0 + 80.0 * (x / 5.0 + wave).sin() * (y / 7.0).cos() + f64::from(k * (seed + 2) % 11)) as f32
     };
     let bytes = (0..side * side).flat_map(|k| height(k).to_le_bytes()).collect();
-    let image =
-        Image::new([side as u16; 2], 32, 1, bytes).with(339, Values::Short(vec![3])).at([west, north], [PIXEL; 2]);
+    let image = Image::new([side as u16; 2], 32, 1, bytes).with(339, Values::Short(vec![3])).at([west, north], pixel);
     let path = folder.join(name);
     fs::write(&path, tiff(vec![image])).unwrap();
     path
@@ -113,6 +117,24 @@ fn aligned_set_grows_beyond_its_bounds() {
     at("a.tif", [7.0, 46.0], 4);
     let [kept, made] = counts(&check(&set(&[&far, &first])));
     assert!(kept > 0 && made > 0, "{kept} {made}");
+}
+
+/// Regression: all blocks were made again if the largest pixel of the sources was another one, although the finest one decides the
+/// levels.
+#[test]
+fn aligned_set_grows_by_sources_of_other_resolutions() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str, corner: [f64; 2], scale: [f64; 2], seed: u32| {
+        hills_of(folder.path(), name, corner, scale.map(|scale| scale * PIXEL), 24, seed)
+    };
+    let fine = at("a.tif", [7.0, 46.0], [1.0; 2], 1);
+    let coarse = at("b.tif", [18.0, 46.3], [2.7, 2.1], 2);
+    let set = |dem: &[&PathBuf]| args(dem, folder.path().join("set"), true);
+    run(&set(&[&fine])).unwrap();
+    let [kept, made] = counts(&check(&set(&[&fine, &coarse])));
+    assert!(kept > 0 && made > 0, "{kept} {made}");
+    let [kept, _] = counts(&check(&set(&[&fine])));
+    assert!(kept > 0, "the coarse source is removed");
 }
 
 #[test]
