@@ -231,7 +231,7 @@ struct TableReader<'a> {
     binary: &'a [u8],
     table: &'a FeatureTable,
     limits: &'a Limits,
-    /// That of the set, which has directions east and north.
+    /// The ellipsoid of the set, on which instances face east and north.
     ellipsoid: Ellipsoid,
 }
 

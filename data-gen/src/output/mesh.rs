@@ -34,7 +34,7 @@ pub(crate) struct MeshForm {
     pub is_quantized: bool,
     /// True for EXT_meshopt_compression.
     pub is_compressed: bool,
-    /// True if files contain their place on the earth, so that tiles need no transform.
+    /// True if the vertices of files are on the earth, so that tiles need no transform.
     pub is_placed: bool,
 }
 

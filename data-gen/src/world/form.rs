@@ -80,7 +80,7 @@ pub(super) struct MadeMesh {
     pub measures: MeshMeasures,
 }
 
-/// What the description of a mesh needs to know of it.
+/// The measures of a mesh that its description contains.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct MeshMeasures {
     /// The largest distance of its triangles from those of the grid, in metres.

@@ -38,7 +38,7 @@ pub struct WorldTile {
     pub range_m: [f32; 2],
     /// Heights in metres with a border of one sample, southern row first.
     pub(super) heights_m: Vec<f32>,
-    /// Those of a mesh.
+    /// The measures of the mesh; 0 without one.
     pub(super) measures: MeshMeasures,
 }
 

@@ -53,7 +53,7 @@ fn meshes_have_measured_errors_and_the_bytes_of_tiles_computed_alone() {
         let file = std::fs::read(out.join(format!("{}/{}/{}.glb", key.level, key.x, key.y))).unwrap();
         assert!(file == tile.file("glb").unwrap() && tile.files.len() == 1, "{key:?}");
     }
-    // What is computed alone of a tile contains what was measured.
+    // Volumes that are computed alone contain the measured ones.
     let alone: Value = serde_json::from_str(&set.tileset(TileKey::ROOT).unwrap()).unwrap();
     let written = tileset(&out);
     let (alone_m, written_m) = (region(&alone["root"]), region(&written["root"]));

@@ -50,7 +50,7 @@ impl Drop for OpenOrder {
     }
 }
 
-/// Where the thread puts what it creates. The order counts as open until its result can be read.
+/// The slot into which the thread puts a pipeline. The order counts as open until its result can be read.
 struct Slot<T> {
     result: Arc<OnceLock<Result<T, String>>>,
     /// Dropped after `result`.

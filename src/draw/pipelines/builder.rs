@@ -7,7 +7,7 @@ use crate::gpu::{GraphicsContext, MAX_COLOR_ATTACHMENTS, TargetFormats, catch_er
 
 /// The shader of a pipeline.
 pub(super) enum ShaderSource {
-    /// One of the renderer's own sources, with its label. Its module is created once.
+    /// A source of the renderer, with its label. Its module is created once.
     Own(&'static str, &'static str),
     /// The module of a program.
     Module(wgpu::ShaderModule),

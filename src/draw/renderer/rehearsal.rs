@@ -64,7 +64,7 @@ impl Renderer {
                     self.ensure_changed(ctx, from, to);
                 }
             }
-            // What is loaded meanwhile gets both kinds of pipelines.
+            // Pages that are loaded meanwhile get both kinds of pipelines.
             self.drawn_into.expect(to);
         }
         self.resources.report_pipeline_errors();

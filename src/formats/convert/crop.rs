@@ -64,7 +64,7 @@ struct Plan<'a> {
     from: Source,
     scope: RootScope,
     root: Arc<str>,
-    /// That of the root.
+    /// The ellipsoid of the root.
     ellipsoid: Ellipsoid,
     /// The JSON of each tileset with its name.
     tilesets: Vec<(String, Vec<u8>)>,

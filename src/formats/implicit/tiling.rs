@@ -103,7 +103,7 @@ pub(in crate::formats) struct ImplicitTiling {
     /// The metadata of all groups of the tileset.
     groups: Arc<[Option<Arc<Metadata>>]>,
     volume: RootVolume,
-    /// That of regions and cells.
+    /// The ellipsoid of regions and of S2 cells.
     ellipsoid: Ellipsoid,
     tileset_from_set: Option<DAffine3>,
     /// The error of the root, metres before the scale of the tile.

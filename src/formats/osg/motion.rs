@@ -57,7 +57,7 @@ struct Play {
     end: Option<(usize, f64)>,
 }
 
-/// What is shown at a time.
+/// The child that a Sequence shows at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Shown {
     child: Option<usize>,
@@ -196,7 +196,7 @@ pub(super) struct PathObject {
     looping: Looping,
 }
 
-/// A place on a path.
+/// A pose on a path, with its time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PathPoint {
     pub time_s: f64,
@@ -205,7 +205,7 @@ pub(super) struct PathPoint {
     pub scale: DVec3,
 }
 
-/// What follows the end of a path. The places are the numbers in binary files.
+/// The behaviour at the end of a path, in the order of the numbers in binary files.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Looping {
     Swing,
@@ -260,7 +260,7 @@ impl PathObject {
         [self.points.first(), self.points.last()].map(|point| point.map_or(0.0, |point| point.time_s))
     }
 
-    /// Returns the place at a time.
+    /// Returns the pose at a time.
     fn at(&self, time_s: f64) -> DAffine3 {
         let [first, last] = self.times();
         let period = last - first;

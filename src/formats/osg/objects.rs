@@ -61,7 +61,7 @@ pub(super) enum NodeClass {
         /// `None` if the matrix is not affine.
         parent_from_child: Option<DAffine3>,
         is_absolute: bool,
-        /// What moves it.
+        /// The animation that moves it.
         animation: Option<Arc<AnimationObject>>,
     },
     Switch(Vec<bool>),
@@ -94,7 +94,7 @@ pub(super) struct NodeMembers {
     pub mask: u32,
     pub culling_active: bool,
     pub state: Option<Arc<StateObject>>,
-    /// What moves the node if it is a transform.
+    /// The animation of a transform.
     pub animation: Option<Arc<AnimationObject>>,
 }
 

@@ -195,7 +195,7 @@ impl RampObject {
         Some(Self { image, range })
     }
 
-    /// Returns the place of a value in the row, 0 to 1 within its range.
+    /// Returns the position of a value in the row, 0 to 1 within its range.
     pub fn place(&self, value: f64) -> f64 {
         let [min, max] = self.range;
         if max > min && value.is_finite() { (value - min) / (max - min) } else { 0.0 }

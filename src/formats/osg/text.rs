@@ -5,14 +5,14 @@ use glam::{DQuat, DVec3};
 
 use super::input::Names;
 
-/// What is said of a text that is drawn otherwise than OSG would.
+// The notes about texts that are drawn otherwise than by OSG.
 pub(super) const LAYOUTS: &str = "OpenSceneGraph: layout of a text (it is drawn from left to right)";
 pub(super) const DECORATIONS: &str = "OpenSceneGraph: backdrop or box of a text (not drawn)";
 pub(super) const GRADIENTS: &str = "OpenSceneGraph: gradient of a text's colours (it has one colour)";
 pub(super) const FADING: &str = "OpenSceneGraph class osgText::FadeText (it does not fade)";
 pub(super) const SOLIDS: &str = "OpenSceneGraph class osgText::Text3D (it is flat)";
 
-/// The places of a text's box or base line that its position can be, by their names. The numbers are those of binary files.
+/// The points of a text's box or base line at which its position can lie, by their names. The numbers are those of binary files.
 pub(super) const ALIGNMENTS: Names = &[
     ("LEFT_TOP", 0),
     ("LEFT_CENTER", 1),
@@ -64,17 +64,17 @@ pub(super) struct TextObject {
     pub height: f64,
     /// Height by width of that square as it is drawn.
     pub aspect: f64,
-    /// One of [`SIZE_MODES`].
+    /// A number of [`SIZE_MODES`].
     pub size_mode: u32,
     /// The largest height in pixels, for the third of these modes.
     pub font_height_px: f64,
-    /// One of [`ALIGNMENTS`].
+    /// A number of [`ALIGNMENTS`].
     pub alignment: u32,
     /// The gap between lines as a share of the height.
     pub line_spacing: f64,
     /// Lines are broken at this width; 0 or less for none.
     pub max_width: f64,
-    /// As it is displayed.
+    /// The displayed colour, sRGB, 0 to 1.
     pub color: [f32; 4],
 }
 

@@ -128,7 +128,7 @@ impl Done {
 struct Fill<'a> {
     options: &'a FillOptions,
     scope: RootScope,
-    /// That of the root, once it is read.
+    /// The ellipsoid of the root, once it is read.
     ellipsoid: Ellipsoid,
     filled: Filled,
     /// Last in, first out: the files below a tile precede its siblings, which keeps the list short.

@@ -36,7 +36,7 @@ pub enum EnvironmentChanges {
 /// The views that a frame rehearses, each with its context.
 pub(super) type Rehearsals = Vec<(u32, RenderStage, Environment)>;
 
-/// What a drawn frame tells about rehearsals.
+/// The result of a frame's rehearsals in a context.
 pub(super) struct Rehearsed {
     context: ContextId,
     frame: u32,

@@ -59,7 +59,7 @@ pub(in crate::viewer) struct FrameLoop {
     pub(super) pictures: PictureRequests,
     /// The contexts that show their images in windows.
     pub(super) windows: Vec<ContextId>,
-    /// What the frames drawn since the last update have told about rehearsals.
+    /// The results of rehearsals in the frames that were drawn since the last update.
     pub(super) rehearsed: Vec<Rehearsed>,
 }
 

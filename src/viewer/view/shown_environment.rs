@@ -117,7 +117,7 @@ mod tests {
         let before = Environment::default();
         view.follow(&before, true);
         assert_eq!((view.of(&before), view.is_changing()), (before, false), "the first frame waits for nothing");
-        // What needs no other pipelines is shown at once.
+        // A change that needs no other pipelines is shown at once.
         let evening = Environment { sun_direction: DVec3::X, ..before };
         view.follow(&evening, true);
         assert_eq!(view.of(&evening), evening);
@@ -162,7 +162,7 @@ mod tests {
         assert!(view.of(&plain) == before && view.wants_rehearsal(), "the frame was not drawn");
         view.begin_rehearsal(4, 1);
         view.drawn(4, Some(0), 0);
-        // What changes meanwhile and needs no other pipelines takes effect with it.
+        // A further change that needs no other pipelines takes effect with it.
         let dusk = Environment { sun_direction: DVec3::Y, ..plain };
         view.follow(&dusk, true);
         assert_eq!(view.of(&dusk), dusk);

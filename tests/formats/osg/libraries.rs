@@ -311,7 +311,7 @@ fn texts_read_the_same_in_every_format() {
     let at = latin.windows(3).position(|bytes| bytes == b"\"A#").unwrap() + 2;
     latin[at] = 0xd6;
     assert_eq!(letters_of(&latin).1, letters_of(osgt(VERSION, &text("Text TRUE \"A\u{d6}\"", "")).as_bytes()).1);
-    // What the typeface lacks is a box, and noted; sizes that are none draw nothing.
+    // A letter that the typeface lacks is a box, and noted; texts of invalid sizes draw nothing.
     let (node, ignored) = read(osgt(VERSION, &text("Text TRUE \"\u{4e2d}\"", "")));
     assert_eq!((drawables(&node).len(), ignored.iter().count()), (1, 1));
     for size in ["CharacterSize nan 1", "CharacterSize 1 0", "CharacterSize -1 1", "CharacterSize 1 1 LineSpacing inf"]

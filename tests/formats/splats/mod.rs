@@ -317,7 +317,7 @@ fn splats_are_described_and_kept_by_conversions() {
     let converted = convert(file.to_str().unwrap(), &out, &ConvertOptions::default(), &mut |_| {}).unwrap();
     assert_eq!((converted.written.triangles, converted.written.splats), (1, 2));
     assert!(converted.left_out.is_empty(), "{:?}", converted.left_out);
-    // What is written is read again as the same, whatever the colour space, compressed or not.
+    // Splats are read again as they were written, whatever the colour space, compressed or not.
     let mut list = written();
     list[0].color[1] = 1.5;
     for (color_space, degree, meshopt) in

@@ -19,7 +19,7 @@ const PIXEL_VARIANCE: f32 = 0.3;
 // stretches without limit.
 const MAX_CLIP: f32 = 1.3;
 const MAX_SIGMA_PX: f32 = 1024.0;
-// Of the leaf's `side`: the degree of the harmonics, and whether they are added to linear colours.
+// Bits of the leaf's `side`: the degree of the harmonics, and whether they are added to linear colours.
 const DEGREE_MASK: u32 = 3u;
 const LINEAR_HARMONICS: u32 = 4u;
 

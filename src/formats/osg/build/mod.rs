@@ -280,7 +280,7 @@ impl<'a> Builder<'a> {
     fn drawables(&mut self, object: &Arc<DrawableObject>) -> Result<(DVec3, Vec<Drawable>), IoError> {
         if let DrawableClass::Text(text) = &object.class {
             let letters = self.text_drawables(text)?;
-            // A place that is not finite has no letters.
+            // A text at a position that is not finite has no letters.
             return Ok((if letters.is_empty() { DVec3::ZERO } else { text.position }, letters));
         }
         let look = Look::resolve(&self.states);

@@ -33,7 +33,7 @@ use crate::scene::{AttributeFormat, Drawable, DrawableFeatures, Geometry, Materi
 /// The vertices of a point that is drawn as a square.
 const VERTICES_OF_SQUARE: usize = 4;
 
-/// What a leaf draws.
+/// The geometry of a leaf.
 #[derive(Clone, Debug)]
 pub(in crate::formats) enum LeafShape {
     Mesh(Arc<Mesh>),

@@ -79,7 +79,7 @@ pub(super) fn kern(before: &Letter, letter: &Letter) -> f64 {
     f64::from(face.kern_unscaled(before.id, letter.id) / face.units_per_em().unwrap_or(1.0))
 }
 
-/// The place of a letter in a texture.
+/// The rectangle of a letter in a texture.
 struct Place {
     character: char,
     id: GlyphId,

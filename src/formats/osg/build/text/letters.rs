@@ -17,9 +17,9 @@ const MAX_LENGTH: f64 = 1e12;
 
 /// The letters of a text around its position. Lengths in units of the text.
 struct Lines {
-    /// Each with its place on the base line.
+    /// The letters, each with its position on the base line.
     letters: Vec<(&'static Letter, DVec2)>,
-    /// The place that the position is at.
+    /// The point of the text at which its position lies.
     pivot: DVec2,
     /// Width and height of the square that letters are designed in.
     unit: DVec2,

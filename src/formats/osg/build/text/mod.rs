@@ -48,7 +48,7 @@ impl Builder<'_> {
         let (units, auto_scale) = match text.size_mode {
             1 => (1.0, Some(AutoScale { min: 0.0, max: f64::INFINITY })),
             2 if text.height > 0.0 => {
-                // As large as its limit: on the screen it is scaled down to its own size.
+                // The mesh is as large as its limit, and the screen scales it down to its own size.
                 let units = text.font_height_px.clamp(1.0, MAX_FONT_PX) / text.height;
                 (units, Some(AutoScale { min: 0.0, max: units.recip() }))
             }
