@@ -11,6 +11,9 @@ use super::tin::Tin;
 use crate::pyramid::{Block, CELLS, Extent, TileKey};
 use crate::{ContentKind, GenArgs, GenError};
 
+/// Returns which triangles of a cell have data: the south-eastern and the north-western one. Cells from -1 to 64.
+type HasData<'a> = Box<dyn Fn(i64, i64) -> [bool; 2] + 'a>;
+
 /// The samples of a tile that becomes a mesh: those of a block, or of a world.
 pub(crate) struct MeshTile<'a> {
     pub key: TileKey,
@@ -21,9 +24,8 @@ pub(crate) struct MeshTile<'a> {
     pub origin_m: f64,
     /// The heights in metres of the vertices and of those next to the tile, southern row first.
     pub heights_m: Vec<f32>,
-    /// Returns which triangles of a cell have data: the south-eastern and the north-western one. Cells from -1 to 64. `None` if all
-    /// have.
-    pub has_data: Option<Box<dyn Fn(i64, i64) -> [bool; 2] + 'a>>,
+    /// `None` if all triangles have data.
+    pub has_data: Option<HasData<'a>>,
 }
 
 /// The form of mesh files.
