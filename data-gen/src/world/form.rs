@@ -15,7 +15,7 @@ use crate::{Color, ContentKind, GenArgs, GenError, TextureFormat, TileKey, Trian
 
 /// The largest distance of triangles from the grid, as a share of the error of the level above.
 const TIN_SHARE: f64 = 0.5;
-/// The allowed distances of samples that are tried, as shares of that: between samples triangles may be farther off.
+/// Shares of that distance, tried in turn as the limit at samples: between samples, triangles may be farther off.
 const SAMPLE_SHARES: [f64; 3] = [0.5, 0.25, 0.125];
 
 /// The form of tiles.
@@ -113,13 +113,13 @@ impl WorldSet {
         if tin.distance_m > most_m {
             tin = tile.triangles(Triangles::Grid, &[], 0.0);
         }
-        let skirt_m = self.skirt_m(key.level).min(self.own_skirt_m(&tile));
+        let skirt_m = self.max_skirt_m(key.level).min(self.own_skirt_m(&tile));
         let glb = tile.glb(form, &tin, skirt_m, look)?;
         Ok(MadeMesh { glb, measures: MeshMeasures { distance_m: tin.distance_m, skirt_m } })
     }
 
-    /// Returns the depth of the skirts that the edges of a tile need, in metres: as those of elevation, they cover the steps to
-    /// neighbours. Infinite where those may have no rivers.
+    /// Returns the depth of the skirts that cover the steps to neighbours of a tile, in metres. Infinite, so that [`Self::max_skirt_m`]
+    /// decides, where coarser neighbours have no rivers.
     fn own_skirt_m(&self, tile: &MeshTile<'_>) -> f64 {
         let step_m = |level: u32| self.lattice(TileKey { level, x: 0, y: 0 }, 0).step_m();
         let [own, above] =
@@ -142,7 +142,7 @@ impl WorldSet {
 
     /// Returns the largest depth of the skirts of a level in metres. They cover the steps to finer neighbours and to those up to two levels
     /// coarser.
-    fn skirt_m(&self, level: u32) -> f64 {
+    fn max_skirt_m(&self, level: u32) -> f64 {
         let off_m = |level: u32| self.level_errors_m()[level as usize] + self.tin_limit_m(level);
         1.0 + off_m(level) + off_m(level.saturating_sub(2))
     }
@@ -153,7 +153,7 @@ impl WorldSet {
         match self.form.mesh {
             None => Described { geometric_error_m: error_m, heights_m },
             Some(_) => {
-                let (distance_m, skirt_m) = (self.tin_limit_m(key.level), self.skirt_m(key.level));
+                let (distance_m, skirt_m) = (self.tin_limit_m(key.level), self.max_skirt_m(key.level));
                 self.described(key, heights_m, error_m, MeshMeasures { distance_m, skirt_m })
             }
         }

@@ -77,10 +77,10 @@ struct MadeTile {
     bytes: u64,
     /// The lowest and the highest height in metres.
     range_m: [f32; 2],
-    /// Its description, as far as that depends on the tiles below it.
+    /// The error and the heights of the tile with all tiles below it.
     described: Described,
-    /// By level, for meshes: the largest distance between the finest samples in the tile and the grid of the tile that contains it,
-    /// in metres, for the levels above its own.
+    /// For meshes, a number for each coarser level: the largest distance of this tile's finest samples from the grid of the tile
+    /// above it on that level, in metres.
     above_m: Vec<f64>,
 }
 
@@ -202,8 +202,8 @@ fn make_columns(folder: &Path, level: u32) -> Result<(), GenError> {
     })
 }
 
-/// Writes all tiles and tilesets of a set into a folder, on the threads of the current rayon pool. Tiles that a killed run has
-/// completed are not made again. The caller fills in the duration and the final folder of the summary.
+/// Writes all tiles and tilesets of a set into a folder, on the threads of the current rayon pool. A tile is not made again
+/// if a killed run had completed it and all tiles below it. The caller fills in the duration and the final folder of the summary.
 pub(crate) fn write_world(set: &WorldSet, tiling: Tiling, folder: &Path) -> Result<Summary, GenError> {
     let is_packed = set.is_packed();
     // Tilesets lie in the folder of the set, and so do tiles that are not packed.

@@ -4,7 +4,7 @@
 //! draw thread       order -> draws without it ...                 -> result of the order, in a later frame
 //! pipeline thread            module, layout, pipeline, its errors
 //! ```
-//! The draw thread orders instead of creating only between [`Aside::begin`] and [`Aside::end`]. The thread starts with the
+//! Between [`Aside::begin`] and [`Aside::end`] the draw thread orders pipelines; otherwise it creates them itself. The thread starts with the
 //! first order and ends with the renderer. It calls the device alone, never the queue.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -128,7 +128,7 @@ impl Aside {
         let slot = Slot { result: result.clone(), _open: OpenOrder::new(&self.open) };
         let device = device.clone();
         let job: Job = Box::new(move || {
-            // All of it: the order is open until then.
+            // The whole slot is moved in, so that the order stays open until the job ends.
             let slot = slot;
             let _span = trace::span("create pipeline");
             let (created, error) = catch_errors(&device, || create(&device));

@@ -25,8 +25,8 @@ pub(crate) fn draws_alike(a: &Environment, b: &Environment) -> bool {
 }
 
 impl Renderer {
-    /// Has the next draw prepare a view, given by its stage, as a later frame will draw it. The pipelines that it lacks are
-    /// created aside, with those of what was drawn before and is out of view now.
+    /// Has the next draw prepare a view, given by its stage, as a later frame will draw it. The pipeline thread
+    /// creates what it lacks, also for content that was drawn earlier and is out of view now.
     pub(crate) fn rehearse_next(&mut self, stage: RenderStage, environment: Environment) {
         self.rehearsals.next.push((stage, environment));
     }

@@ -1,7 +1,7 @@
 //! Sequences and paths of files: which child is shown and where a part is at a time.
 //!
-//! Readers of all encodings fill the values, and [`build`](super::build) gives the nodes an update callback. What repeats without
-//! an end is a function of the simulation time, whenever its page arrived; what ends begins with the first update
+//! Readers of all encodings fill the values, and [`build`](super::build) gives the nodes an update callback. Endless motion
+//! depends on the simulation time alone, not on when its page arrived; motion that ends starts at its first update
 //! (`docs/decisions/0072-what-moves-in-files-follows-the-simulation-time.md`).
 
 use std::sync::Arc;

@@ -74,7 +74,7 @@ impl TilesetJson {
         }
     }
 
-    /// Returns true if an extension is read. 3DTILES_ellipsoid is if it has the radii of a body.
+    /// Returns true if an extension is read. 3DTILES_ellipsoid is if its radii are valid.
     pub fn reads(&self, extension: &str) -> bool {
         KNOWN_EXTENSIONS.contains(&extension) || extension == ELLIPSOID && matches!(self.body(), Some(Ok(_)))
     }

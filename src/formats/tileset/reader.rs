@@ -120,8 +120,8 @@ fn note_ignored(tileset: &TilesetJson, notes: &Notes) {
     }
 }
 
-/// Returns the ellipsoid of a tileset, and notes the body that a root declares. An external tileset has that of its root, with
-/// which the tiles around it are placed.
+/// Returns the ellipsoid of a tileset, and notes the body that a root declares. An external tileset has the ellipsoid of the
+/// root tileset, with which the tiles around it are placed; another one is noted.
 fn ellipsoid_of(tileset: &TilesetJson, options: &ReadOptions, notes: &Notes) -> Ellipsoid {
     let Some(Ok(body)) = tileset.body() else { return options.ellipsoid };
     if options.chain.is_empty() {

@@ -16,8 +16,9 @@ use crate::viewer::paging::SceneList;
 use crate::viewer::rendering::FrameDone;
 use crate::viewer::view::View;
 
-/// When a change of [`View::environment`] takes effect if it needs pipelines that do not exist: other shadows, water, sky, haze
-/// over a background, or tone mapping. Other changes, such as the sun's direction, take effect in the next frame.
+/// When a change of [`View::environment`] takes effect if it needs pipelines that do not exist: shadows or water that are switched on
+/// or off, another kind of sky or haze, other tone mapping. Changes of values, such as the sun's direction, take effect in the next
+/// frame.
 ///
 /// The blocking mode of the pager never waits for pipelines in a later frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -190,7 +190,7 @@ impl PagedScene {
             Some(loaded) if self.roots_with_tiles.is_empty() => loaded.lowest_ground_m,
             _ => self.bounds.as_ref()?.ellipsoid.ground_m()[0],
         };
-        self.bounds.as_ref()?.body_below(lowest_m)
+        self.bounds.as_ref()?.horizon_below(lowest_m)
     }
 
     /// Fails when the scene has a loaded tile set already.

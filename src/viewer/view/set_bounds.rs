@@ -72,7 +72,7 @@ pub struct SetBounds {
     pub half_size_m: DVec3,
     /// The middle of that box in the local frame; the box of the volume need not be centred on the sphere.
     pub middle_m: DVec3,
-    /// The ellipsoid of the set's body, on which a set in a local frame does not lie.
+    /// The ellipsoid of the set's body; unused for sets in a local frame.
     pub ellipsoid: Ellipsoid,
 }
 
@@ -128,12 +128,12 @@ impl SetBounds {
 
     /// Returns an ellipsoid below the set's lowest ground, which hides what lies behind the horizon; `None` for a set that is
     /// not on one.
-    pub fn body(&self) -> Option<Ellipsoid> {
-        self.body_below(self.lowest_ground_m())
+    pub fn horizon_ellipsoid(&self) -> Option<Ellipsoid> {
+        self.horizon_below(self.lowest_ground_m())
     }
 
-    /// Does the same as [`Self::body`] for a given lowest ground in metres above the ellipsoid.
-    pub(in crate::viewer) fn body_below(&self, lowest_m: f64) -> Option<Ellipsoid> {
+    /// Does the same as [`Self::horizon_ellipsoid`] for a given lowest ground in metres above the ellipsoid.
+    pub(in crate::viewer) fn horizon_below(&self, lowest_m: f64) -> Option<Ellipsoid> {
         let ellipsoid = self.frame.ellipsoid?;
         let [lowest, _] = ellipsoid.ground_m();
         let shrunk = |radius_m: f64| radius_m + lowest_m.max(lowest);
@@ -371,7 +371,7 @@ mod tests {
     #[test]
     fn globe_is_earth_centred() {
         let globe = SetBounds::from_sphere(BoundingSphere::new(DVec3::new(3e3, 0.0, -9e3), 9e6));
-        assert!(globe.frame.is_georeferenced() && globe.body().is_some());
+        assert!(globe.frame.is_georeferenced() && globe.horizon_ellipsoid().is_some());
         assert_eq!(globe.frame.up(), DVec3::Z);
         let pose = globe.first_camera(&ViewFrom::default());
         assert!(pose.translation.length() > 1.9e7 && pose.matrix3.z_axis.dot(pose.translation) > 0.0);

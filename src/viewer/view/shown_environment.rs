@@ -38,8 +38,8 @@ impl ShownEnvironment {
         self.change.is_some()
     }
 
-    /// Takes the application's environment for the next frame. If `waits`, one that is drawn with other pipelines takes effect
-    /// once they are there; until then the view is drawn with the one before, whole.
+    /// Takes the application's environment for the next frame. If `waits`, a change that needs other pipelines waits for them; until
+    /// then the view is drawn with the whole previous environment.
     pub(in crate::viewer) fn follow(&mut self, set: &Environment, waits: bool) {
         let shown = self.shown.get_or_insert(*set);
         if !waits || draws_alike(shown, set) {
@@ -59,7 +59,7 @@ impl ShownEnvironment {
                 self.change = Some(Change { wanted, rehearsal: None, missing: 0, in_creation: 0, is_ready: false });
             }
         }
-        // It follows from the camera's position, not from the application.
+        // `up_in_world` follows from the camera's position, not from the application.
         shown.up_in_world = set.up_in_world;
     }
 

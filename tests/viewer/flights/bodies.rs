@@ -66,7 +66,7 @@ fn place_on_the_moon_is_picked_and_its_far_side_is_culled() {
     let ellipsoid = viewer.scene().ellipsoid();
     let bounds = *viewer.bounds().unwrap();
     assert_eq!((ellipsoid, bounds.ellipsoid, bounds.frame.ellipsoid), (MOON, MOON, Some(MOON)));
-    let body = bounds.body().unwrap();
+    let body = bounds.horizon_ellipsoid().unwrap();
     assert!(body.semi_major_m == RADIUS_M - 2000.0 && body.semi_minor_m == body.semi_major_m, "{body:?}");
 
     let frame = MOON.ecef_from_enu(&Geodetic { height_m: 1250.0, ..near.middle });

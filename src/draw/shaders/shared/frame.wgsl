@@ -34,7 +34,7 @@ struct Leaf {
     layer: u32,  // or the record of a surface
     flags: u32,
     alpha_cutoff: u32,  // bits of an f32; first vertex of pulled meshes
-    side: u32,          // vertices along a side of height tiles; first index of pulled meshes; harmonics of splats
+    side: u32,          // vertices along a side of height tiles; first index of pulled meshes; degree of the harmonics of splats
 }
 
 // A light of a stage, in eye space.

@@ -50,7 +50,7 @@ pub(super) fn read(
         return Ok(None);
     }
     let is_logarithm = (0..count).any(|i| (0..3).any(|k| scale.value(i, k) < 0.0));
-    // A degree is whole, and those below it are too.
+    // All coefficients of a degree and of the lower ones must be there.
     let names = |degree: u8| (0..=2 * degree).map(move |n| format!("SH_DEGREE_{degree}_COEF_{n}"));
     let degree = (1..=3u8).rev().find(|degree| names(*degree).any(|name| own(&name).is_some())).unwrap_or(0);
     let mut above = Vec::with_capacity(SplatHarmonics::coefficients_of(degree));

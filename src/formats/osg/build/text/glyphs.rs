@@ -29,7 +29,7 @@ const PAGES: [&[RangeInclusive<u32>]; 2] = [
     ],
     &[0x100..=0x17f, 0x218..=0x21b, 0x370..=0x3ff, 0x400..=0x4ff],
 ];
-/// Stands for characters that the typeface lacks.
+/// The character whose letter, a box, is drawn for characters that are not in a texture.
 const REPLACEMENT: u32 = 0xfffd;
 
 /// A letter. Lengths in units of the square, from the base line at the letter's left, y upwards.
@@ -64,7 +64,7 @@ pub(super) fn page(index: usize) -> &'static LetterPage {
     MADE[index].get_or_init(|| new_page(index))
 }
 
-/// Returns the letter of a character, and false if it stands for one that the typeface lacks; `None` if nothing does.
+/// Returns the letter of a character and true, or the box and false if no texture has it; `None` if the typeface has no box.
 pub(super) fn letter(character: char) -> Option<(&'static Letter, bool)> {
     let code = u32::from(character);
     let index = PAGES.iter().position(|ranges| ranges.iter().any(|range| range.contains(&code)));
