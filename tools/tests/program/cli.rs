@@ -250,6 +250,8 @@ fn flight_writes_a_report() {
     let out = terrane(&[
         "fly",
         set.to_str().unwrap(),
+        // Twelve frames may be over before a tile is merged otherwise.
+        "--blocking",
         "--frames",
         "12",
         "--size",
