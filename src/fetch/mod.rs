@@ -65,6 +65,7 @@ pub(crate) use percent::percent_decode;
 pub(crate) use scope::root_uri_within;
 pub use scope::{RootScope, resolve, root_uri};
 pub(crate) use source::{Loaded, Source};
+#[cfg(feature = "http")]
 pub(crate) use time_limit::run_within;
 #[cfg(all(feature = "http", feature = "testing"))]
 pub use uri::fuzz_url;
