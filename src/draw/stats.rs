@@ -40,7 +40,7 @@ pub struct DrawStats {
     /// prepares for a target count as one.
     pub pipelines_created: u32,
     /// The number of pipelines that the pipeline thread has created and that are in use since the draw before.
-    pub pipelines_created_aside: u32,
+    pub pipelines_created_by_thread: u32,
     /// The number of pipelines that the pipeline thread has not created yet.
     pub pipelines_in_creation: u32,
     /// The time of all passes on the adapter in milliseconds, of the latest frame whose timestamps have arrived.

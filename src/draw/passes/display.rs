@@ -4,7 +4,7 @@
 use super::fullscreen::{FullscreenPipeline, PipelinesByKind, image_layout};
 use super::stage_input::StageInput;
 use crate::draw::pipelines::Pipelines;
-use crate::draw::pipelines::aside::Order;
+use crate::draw::pipelines::pipeline_thread::Order;
 use crate::draw::pipelines::sources::DISPLAY_WGSL;
 use crate::draw::resources::Resources;
 use crate::draw::targets::pass_target::{DisplayedImage, PassTarget};
@@ -58,20 +58,20 @@ impl Display {
             }
             .create_on(device, cache.as_ref())
         };
-        let aside = &mut pipelines.aside;
+        let thread = &mut pipelines.pipeline_thread;
         let known = self.ordered.iter().position(|(of, _)| *of == format);
         let known = known.map(|index| self.ordered.swap_remove(index).1);
         let order = match known.filter(|order| !order.is_abandoned()) {
             Some(order) => order,
-            None if aside.is_on() => aside.order(ctx.device(), "display".to_owned(), create),
+            None if thread.is_ordering() => thread.order(ctx.device(), "display".to_owned(), create),
             None => {
                 let created = self.pipelines.ensure(ctx.device(), format, || create(ctx.device()));
                 return created.map_err(|error| error.to_string());
             }
         };
-        match aside.take(&order) {
+        match thread.take(&order) {
             Some(created) => self.pipelines.insert(format, created),
-            None if aside.is_on() => {
+            None if thread.is_ordering() => {
                 self.ordered.push((format, order));
                 Ok(())
             }

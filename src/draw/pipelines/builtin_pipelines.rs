@@ -1,9 +1,9 @@
 //! Built-in pipelines: those of passes that draw without a state of the scene. Draw thread.
 
-use super::aside::Order;
 use super::builder::{ShaderSource, Variant};
 use super::cache::Pipelines;
 use super::convert::zeroed;
+use super::pipeline_thread::Order;
 use super::sources::{FILL_WGSL, QUERY_WGSL, SHADOWED_WATER_WGSL, SKY_WGSL, WATER_WGSL};
 use crate::gpu::{GraphicsContext, MAX_COLOR_ATTACHMENTS, TargetFormats};
 

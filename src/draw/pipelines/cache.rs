@@ -3,11 +3,11 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::aside::{Aside, Order};
 use super::builder::Variant;
 use super::factory::Factory;
 use super::key::{PipelineKey, Shading, StateKey};
 use super::key_parts::PartIndices;
+use super::pipeline_thread::{Order, PipelineThread};
 use super::programs::Programs;
 use super::target_table::TargetIndex;
 use crate::gpu::{GraphicsContext, MeshPool, TargetFormats};
@@ -47,7 +47,7 @@ pub(in crate::draw) struct Pipelines {
     /// Pipelines by key that the pipeline thread creates.
     ordered: HashMap<PipelineKey, Order<wgpu::RenderPipeline>>,
     /// Also for the pipelines of passes.
-    pub(in crate::draw) aside: Aside,
+    pub(in crate::draw) pipeline_thread: PipelineThread,
 }
 
 impl Pipelines {
@@ -60,7 +60,7 @@ impl Pipelines {
             frame: 0,
             id_of: HashMap::new(),
             ordered: HashMap::new(),
-            aside: Aside::default(),
+            pipeline_thread: PipelineThread::default(),
         }
     }
 
@@ -102,14 +102,15 @@ impl Pipelines {
         describe: impl Fn() -> Variant,
     ) -> Option<Option<wgpu::RenderPipeline>> {
         let builder = &mut self.factory.builder;
-        if self.aside.is_on() && order.as_ref().is_none_or(Order::is_abandoned) {
+        if self.pipeline_thread.is_ordering() && order.as_ref().is_none_or(Order::is_abandoned) {
             let (maker, variant) = (builder.maker(ctx), describe());
             let label = format!("pipeline {}", variant.label);
-            *order = Some(self.aside.order(ctx.device(), label, move |device| maker.create(device, &variant)));
+            *order =
+                Some(self.pipeline_thread.order(ctx.device(), label, move |device| maker.create(device, &variant)));
         }
-        match order.as_ref().and_then(|order| self.aside.take(order)) {
+        match order.as_ref().and_then(|order| self.pipeline_thread.take(order)) {
             Some(created) => Some(builder.accept(created)),
-            None if self.aside.is_on() => None,
+            None if self.pipeline_thread.is_ordering() => None,
             None => Some(builder.create(ctx, &describe())),
         }
     }
@@ -186,14 +187,14 @@ impl Pipelines {
         }
         let created = match self.take_ordered(ctx, key, state) {
             Some(created) => created,
-            None if self.aside.is_on() => return None,
+            None if self.pipeline_thread.is_ordering() => return None,
             None => self.factory.create(ctx, &mut self.programs, key, state),
         };
         let id = match created {
             Some(pipeline) => Some(self.insert(pipeline)),
             None if key.fallback() != key => match self.ensure(ctx, key.fallback(), state) {
                 // Once the fallback is there.
-                None if self.aside.is_on() => return None,
+                None if self.pipeline_thread.is_ordering() => return None,
                 fallback => fallback,
             },
             None => None,
@@ -213,7 +214,7 @@ impl Pipelines {
         let first_error = self.factory.builder.errors().len();
         let order = match self.ordered.remove(&key).filter(|order| !order.is_abandoned()) {
             Some(order) => order,
-            None if !self.aside.is_on() => return None,
+            None if !self.pipeline_thread.is_ordering() => return None,
             None => {
                 let Some(variant) = self.factory.describe(ctx, &mut self.programs, key) else {
                     self.factory.name_errors(first_error, state);
@@ -221,12 +222,12 @@ impl Pipelines {
                 };
                 let maker = self.factory.builder.maker(ctx);
                 let label = format!("pipeline {}", variant.label);
-                self.aside.order(ctx.device(), label, move |device| maker.create(device, &variant))
+                self.pipeline_thread.order(ctx.device(), label, move |device| maker.create(device, &variant))
             }
         };
-        let Some(created) = self.aside.take(&order) else {
+        let Some(created) = self.pipeline_thread.take(&order) else {
             // A frame that cannot wait creates the pipeline itself.
-            if self.aside.is_on() {
+            if self.pipeline_thread.is_ordering() {
                 self.ordered.insert(key, order);
             }
             return None;

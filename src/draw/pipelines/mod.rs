@@ -8,11 +8,10 @@
 //! shader_choice   from a key to shader source and entry points
 //! factory         from a key to a pipeline, with programs and custom attributes of the application
 //! builder         creates modules and pipelines on the device, catching its errors
-//! aside           the thread that creates pipelines beside the draw thread
+//! pipeline_thread the thread that creates pipelines beside the draw thread
 //! cache           Pipelines: the pipelines of a renderer by key
 //! ```
 
-pub(in crate::draw) mod aside;
 pub(in crate::draw) mod builder;
 pub(in crate::draw) mod builtin_pipelines;
 pub(in crate::draw) mod cache;
@@ -21,6 +20,7 @@ pub(in crate::draw) mod custom_attributes;
 pub(in crate::draw) mod factory;
 pub(in crate::draw) mod key;
 pub(in crate::draw) mod key_parts;
+pub(in crate::draw) mod pipeline_thread;
 pub(in crate::draw) mod programs;
 mod shader_choice;
 pub(in crate::draw) mod sources;

@@ -60,7 +60,7 @@ pub struct Renderer {
     drawn_into: DrawnStages,
     rehearsals: Rehearsals,
     /// The ordered pipelines that earlier draws have counted.
-    counted_aside: u32,
+    counted_by_thread: u32,
     frames_in_flight: FramesInFlight,
     /// Command buffers of the compile thread, which are submitted before the frame.
     uploads: Vec<wgpu::CommandBuffer>,
@@ -83,7 +83,7 @@ impl Renderer {
             plans: Vec::new(),
             drawn_into: DrawnStages::default(),
             rehearsals: Rehearsals::default(),
-            counted_aside: 0,
+            counted_by_thread: 0,
             frames_in_flight: FramesInFlight::default(),
             uploads: Vec::new(),
             clock: FrameClock::default(),
@@ -167,9 +167,10 @@ impl Renderer {
         let mut stats = self.resources.stats;
         stats.unsampled_leaves = self.resources.batch.unsampled();
         stats.pipelines_created += self.created_pipelines() - created_before;
-        let aside = &self.resources.pipelines.aside;
-        stats.pipelines_created_aside = aside.created() - std::mem::replace(&mut self.counted_aside, aside.created());
-        stats.pipelines_in_creation = aside.open();
+        let thread = &self.resources.pipelines.pipeline_thread;
+        stats.pipelines_created_by_thread =
+            thread.created() - std::mem::replace(&mut self.counted_by_thread, thread.created());
+        stats.pipelines_in_creation = thread.open();
         let wait = crate::trace::span("wait for adapter");
         self.frames_in_flight.throttle(ctx)?;
         drop(wait);

@@ -51,10 +51,10 @@ impl Renderer {
 
     /// Orders the pipelines of [`Self::prewarm`] for given kinds of stages from the pipeline thread. Returns how many are not
     /// there.
-    pub(crate) fn prewarm_aside(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind], stages: &StageKinds) -> u32 {
-        self.resources.pipelines.aside.begin();
+    pub(crate) fn order_prewarm(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind], stages: &StageKinds) -> u32 {
+        self.resources.pipelines.pipeline_thread.begin();
         self.prewarm_for(ctx, kinds, stages);
-        self.resources.pipelines.aside.end()
+        self.resources.pipelines.pipeline_thread.end()
     }
 
     /// Does the same as [`Self::prewarm`] for given kinds of stages. Returns the number of pipelines that it created.

@@ -38,9 +38,9 @@ impl Renderer {
         self.rehearsals.missing.take()
     }
 
-    /// Returns the number of pipelines that are being created aside.
+    /// Returns the number of pipelines that the pipeline thread is creating.
     pub(crate) fn pipelines_in_creation(&self) -> u32 {
-        self.resources.pipelines.aside.open()
+        self.resources.pipelines.pipeline_thread.open()
     }
 
     /// Rehearses the views of [`Self::rehearse_next`].
@@ -50,7 +50,7 @@ impl Renderer {
         }
         let _span = crate::trace::span("rehearse");
         let drawn = std::mem::take(&mut self.drawn_into);
-        self.resources.pipelines.aside.begin();
+        self.resources.pipelines.pipeline_thread.begin();
         let next = std::mem::take(&mut self.rehearsals.next);
         self.prepare(ctx, next.iter().map(|(stage, environment)| CameraView { stage, environment }));
         self.discard_frame();
@@ -68,7 +68,7 @@ impl Renderer {
             self.drawn_into.expect(to);
         }
         self.resources.report_pipeline_errors();
-        self.rehearsals.missing = Some(self.resources.pipelines.aside.end());
+        self.rehearsals.missing = Some(self.resources.pipelines.pipeline_thread.end());
     }
 
     /// Returns true if a view can change from one target to another: they differ in the format of colours at most.

@@ -93,7 +93,7 @@ impl DrawResults {
         stats.shadow_leaves += drawn.shadow_leaves;
         stats.shadow_draw_calls += drawn.shadow_draw_calls;
         stats.pipelines_created += drawn.pipelines_created;
-        stats.pipelines_created_aside += drawn.pipelines_created_aside;
+        stats.pipelines_created_by_thread += drawn.pipelines_created_by_thread;
         stats.state_changes += drawn.state_changes;
         stats.state_changes_skipped += drawn.state_changes_skipped;
         stats.triangles += drawn.triangles;

@@ -45,7 +45,7 @@ pub struct FrameStats {
     pub pipelines_created: u32,
     /// Pipelines that another thread has created and that are in use since the frame before: those of contents that were
     /// loaded, and of changes of the environment.
-    pub pipelines_created_aside: u32,
+    pub pipelines_created_by_thread: u32,
     /// State changes recorded.
     pub state_changes: u32,
     /// State changes that were redundant and skipped.

@@ -105,7 +105,7 @@ pub(super) struct DrawSide {
     drawn: Vec<(Box<FrameDone>, bool)>,
     /// Uploads in order that wait for the pipelines before them.
     uploads: VecDeque<Upload>,
-    /// The pager waits for uploads, so that nothing is gained by creating pipelines aside.
+    /// The pager waits for uploads, so that nothing is gained by creating pipelines on another thread.
     is_blocking: bool,
     /// The number of pipelines in creation when the first of the uploads last had to wait for them.
     pipelines_open: u32,
@@ -215,7 +215,7 @@ impl DrawSide {
                 let stages = self.renderer.stage_kinds(&self.context);
                 if !self.is_blocking {
                     // In creation while the uploads before are under way.
-                    self.renderer.prewarm_aside(&mut self.context, &kinds, &stages);
+                    self.renderer.order_prewarm(&mut self.context, &kinds, &stages);
                 }
                 self.uploads.push_back(Upload::Prewarm(kinds, stages));
                 return self.begin_uploads();
@@ -353,7 +353,7 @@ impl DrawSide {
         Ok(true)
     }
 
-    /// Passes uploads on to the upload queue, until one needs pipelines that are still being created aside: no draw has to
+    /// Passes uploads on to the upload queue, until one needs pipelines that the pipeline thread is still creating: no draw has to
     /// create them.
     fn begin_uploads(&mut self) {
         while let Some(upload) = self.uploads.pop_front() {
@@ -377,7 +377,7 @@ impl DrawSide {
         let open = self.renderer.pipelines_in_creation();
         let is_unchanged = open > 0 && open == self.pipelines_open;
         self.pipelines_open = open;
-        is_unchanged || self.renderer.prewarm_aside(&mut self.context, kinds, stages) > 0
+        is_unchanged || self.renderer.order_prewarm(&mut self.context, kinds, stages) > 0
     }
 
     fn pass_on_compiled(&mut self) {

@@ -21,7 +21,7 @@ pub(in crate::viewer) struct FrameJob {
     pub(in crate::viewer) frame: u32,
     /// A stage with its environment that is drawn instead of those of the cameras; it is returned.
     pub(in crate::viewer) stage: Option<(RenderStage, Environment)>,
-    /// Views as a later frame will draw them, whose missing pipelines are created aside.
+    /// Views as a later frame will draw them, whose missing pipelines are ordered.
     pub(in crate::viewer) rehearsals: Vec<(RenderStage, Environment)>,
     /// The times that shader programs see.
     pub(in crate::viewer) clock: FrameClock,

@@ -87,7 +87,7 @@ impl Renderer {
         0
     }
 
-    pub fn prewarm_aside(&mut self, _context: &mut GraphicsContext, _kinds: &[DrawKind], _stages: &StageKinds) -> u32 {
+    pub fn order_prewarm(&mut self, _context: &mut GraphicsContext, _kinds: &[DrawKind], _stages: &StageKinds) -> u32 {
         0
     }
 

@@ -64,10 +64,10 @@ fn picture(viewer: &mut Viewer) -> RgbaImage {
     viewer.take_pictures().pop().unwrap().1
 }
 
-/// Returns the pipelines that frames after one have created themselves, and those created aside.
+/// Returns the pipelines that frames after one have created themselves, and those that another thread has created.
 fn created(viewer: &Viewer, after: u32) -> [u32; 2] {
     let frames = || viewer.stats().iter().filter(|s| s.frame > after);
-    [frames().map(|s| s.pipelines_created).sum(), frames().map(|s| s.pipelines_created_aside).sum()]
+    [frames().map(|s| s.pipelines_created).sum(), frames().map(|s| s.pipelines_created_by_thread).sum()]
 }
 
 fn noon() -> Environment {
@@ -107,8 +107,8 @@ fn no_frame_creates_the_pipelines_of_a_change() {
     let changed = viewer.frame_stamp().frame;
     viewer.view_mut().environment = environment;
     let waited = shown_after(&mut viewer, &before, &expected);
-    let [in_frames, aside] = created(&viewer, changed);
-    assert!(waited > 0 && in_frames == 0 && aside > 1, "{waited} frames, {in_frames} and {aside} pipelines");
+    let [in_frames, by_thread] = created(&viewer, changed);
+    assert!(waited > 0 && in_frames == 0 && by_thread > 1, "{waited} frames, {in_frames} and {by_thread} pipelines");
 }
 
 #[test]

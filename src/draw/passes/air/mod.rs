@@ -7,7 +7,7 @@
 pub(in crate::draw) mod tables;
 
 use crate::cull::CullCamera;
-use crate::draw::pipelines::aside::{Aside, Order};
+use crate::draw::pipelines::pipeline_thread::{Order, PipelineThread};
 use crate::draw::resources::Resources;
 use crate::draw::uniforms::air::AirParameters;
 use crate::gpu::{FrameTimer, GraphicsContext, catch_errors};
@@ -131,8 +131,8 @@ impl AirPass {
         if environment.sky != Sky::Atmosphere {
             return none;
         }
-        let aside = &mut resources.pipelines.aside;
-        if aside.is_on() && self.order_pipelines(ctx, aside) {
+        let thread = &mut resources.pipelines.pipeline_thread;
+        if thread.is_ordering() && self.order_pipelines(ctx, thread) {
             // A rehearsal has the pipelines of an atmosphere without its tables.
             return none;
         }
@@ -154,14 +154,14 @@ impl AirPass {
     }
 
     /// Orders the compute pipelines at the first call; returns true while they are missing.
-    fn order_pipelines(&mut self, ctx: &GraphicsContext, aside: &mut Aside) -> bool {
+    fn order_pipelines(&mut self, ctx: &GraphicsContext, thread: &mut PipelineThread) -> bool {
         if matches!(&self.pipelines, Lazy::NotCreated) {
             let cache = ctx.pipeline_cache().cloned();
             let create = move |device: &wgpu::Device| AirPipelines::new(device, cache.as_ref());
-            self.pipelines = Lazy::Ordered(aside.order(ctx.device(), "air".to_owned(), create));
+            self.pipelines = Lazy::Ordered(thread.order(ctx.device(), "air".to_owned(), create));
         }
         let Lazy::Ordered(order) = &self.pipelines else { return false };
-        match aside.take(order) {
+        match thread.take(order) {
             None => true,
             Some(Ok(created)) => {
                 self.pipelines = Lazy::Ready(created);

@@ -1,10 +1,10 @@
-//! [`Aside`]: creates pipelines beside the draw thread, so that no frame waits for the driver's compiler.
+//! [`PipelineThread`]: creates pipelines beside the draw thread, so that no frame waits for the driver's compiler.
 //!
 //! ```text
 //! draw thread       order -> draws without it ...                 -> result of the order, in a later frame
 //! pipeline thread            module, layout, pipeline, its errors
 //! ```
-//! Between [`Aside::begin`] and [`Aside::end`] the draw thread orders pipelines; otherwise it creates them itself. The thread starts with the
+//! Between [`PipelineThread::begin`] and [`PipelineThread::end`] the draw thread orders pipelines; otherwise it creates them itself. The thread starts with the
 //! first order and ends with the renderer. It calls the device alone, never the queue.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -66,35 +66,35 @@ struct Running {
 
 /// The pipeline thread of a renderer, and whether missing pipelines are ordered from it. Owned by the draw thread.
 #[derive(Default)]
-pub(in crate::draw) struct Aside {
+pub(in crate::draw) struct PipelineThread {
     running: Option<Running>,
     /// Set by the draw thread when the renderer is dropped: the thread skips the orders that are left.
     is_stopping: Arc<AtomicBool>,
     /// The number of orders that the thread has not completed. The draw thread adds, both subtract.
     open: Arc<AtomicU32>,
-    is_on: bool,
+    is_ordering: bool,
     /// The number of pipelines that were asked for since [`Self::begin`] and are not there.
     missing: u32,
     /// The number of ordered pipelines that are in use.
     created: u32,
 }
 
-impl Aside {
+impl PipelineThread {
     /// From now on missing pipelines are ordered.
     pub(in crate::draw) fn begin(&mut self) {
-        (self.is_on, self.missing) = (true, 0);
+        (self.is_ordering, self.missing) = (true, 0);
     }
 
     /// From now on missing pipelines are created at once. Returns how many were asked for since [`Self::begin`] and are not
     /// there.
     pub(in crate::draw) fn end(&mut self) -> u32 {
-        self.is_on = false;
+        self.is_ordering = false;
         self.missing
     }
 
     /// Returns true while missing pipelines are ordered.
-    pub(in crate::draw) fn is_on(&self) -> bool {
-        self.is_on
+    pub(in crate::draw) fn is_ordering(&self) -> bool {
+        self.is_ordering
     }
 
     /// Returns the number of orders that the thread has not completed.
@@ -168,7 +168,7 @@ fn start(is_stopping: Arc<AtomicBool>) -> Option<Running> {
     }
 }
 
-impl Drop for Aside {
+impl Drop for PipelineThread {
     fn drop(&mut self) {
         self.is_stopping.store(true, Ordering::Release);
         if let Some(Running { jobs, thread }) = self.running.take() {
@@ -191,44 +191,45 @@ mod tests {
 
     #[test]
     fn orders_are_completed_by_another_thread_and_counted() {
-        let (device, mut aside) = (device(), Aside::default());
+        let (device, mut thread) = (device(), PipelineThread::default());
         let (go, wait) = channel::bounded::<()>(1);
-        aside.begin();
-        let order = aside.order(&device, "name".to_owned(), move |_| {
+        thread.begin();
+        let order = thread.order(&device, "name".to_owned(), move |_| {
             wait.recv().unwrap();
             std::thread::current().name().map(str::to_owned)
         });
-        assert!(aside.take(&order).is_none());
-        assert_eq!((aside.end(), aside.open(), aside.created()), (1, 1, 0));
+        assert!(thread.take(&order).is_none());
+        assert_eq!((thread.end(), thread.open(), thread.created()), (1, 1, 0));
         go.send(()).unwrap();
-        while aside.open() > 0 {
+        while thread.open() > 0 {
             std::thread::yield_now();
         }
-        assert_eq!(aside.take(&order), Some(Ok(Some("pipelines".to_owned()))));
-        aside.begin();
-        assert_eq!((aside.end(), aside.created()), (0, 1));
+        assert_eq!(thread.take(&order), Some(Ok(Some("pipelines".to_owned()))));
+        thread.begin();
+        assert_eq!((thread.end(), thread.created()), (0, 1));
     }
 
     /// The draw thread creates what a thread that has died leaves.
     #[test]
     fn thread_that_dies_leaves_no_order_open() {
-        let (device, mut aside) = (device(), Aside::default());
+        let (device, mut thread) = (device(), PipelineThread::default());
         let fail = |_: &wgpu::Device| -> u32 { std::panic::panic_any("on purpose") };
-        let order = aside.order(&device, String::new(), fail);
-        aside.running.take().unwrap().thread.join().unwrap_err();
-        assert!(order.is_abandoned() && order.result().is_none() && aside.open() == 0);
+        let order = thread.order(&device, String::new(), fail);
+        thread.running.take().unwrap().thread.join().unwrap_err();
+        assert!(order.is_abandoned() && order.result().is_none() && thread.open() == 0);
         let (jobs, _) = channel::unbounded();
-        aside.running = Some(Running { jobs, thread: std::thread::spawn(|| {}) });
-        let order = aside.order(&device, String::new(), |_| 1);
-        assert_eq!((aside.take(&order), aside.open()), (Some(Ok(1)), 0));
+        thread.running = Some(Running { jobs, thread: std::thread::spawn(|| {}) });
+        let order = thread.order(&device, String::new(), |_| 1);
+        assert_eq!((thread.take(&order), thread.open()), (Some(Ok(1)), 0));
     }
 
     #[test]
     fn renderer_that_ends_waits_for_one_order() {
-        let (device, mut aside, (go, wait)) = (device(), Aside::default(), channel::bounded::<()>(1));
-        let orders = [wait.clone(), wait].map(|wait| aside.order(&device, String::new(), move |_| wait.recv().is_ok()));
-        let stopping = aside.is_stopping.clone();
-        let dropped = std::thread::spawn(move || drop(aside));
+        let (device, mut thread, (go, wait)) = (device(), PipelineThread::default(), channel::bounded::<()>(1));
+        let orders =
+            [wait.clone(), wait].map(|wait| thread.order(&device, String::new(), move |_| wait.recv().is_ok()));
+        let stopping = thread.is_stopping.clone();
+        let dropped = std::thread::spawn(move || drop(thread));
         while !stopping.load(Ordering::Acquire) {
             std::thread::yield_now();
         }
