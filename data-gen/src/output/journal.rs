@@ -207,7 +207,7 @@ pub(crate) enum Inputs {
     Gaps,
 }
 
-/// What a list has of a tile.
+/// A tile in the list of complete ones.
 pub(crate) trait ListedTile: Sized {
     /// Returns it as words in one line.
     fn text(&self) -> String;

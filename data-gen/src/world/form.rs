@@ -66,7 +66,7 @@ impl TileForm {
     }
 }
 
-/// What a tileset says of a tile.
+/// The values of a tile that a tileset declares.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Described {
     pub geometric_error_m: f64,
