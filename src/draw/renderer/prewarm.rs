@@ -53,14 +53,24 @@ impl Renderer {
     /// there.
     pub(crate) fn order_prewarm(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind], stages: &StageKinds) -> u32 {
         self.resources.pipelines.pipeline_thread.begin();
-        self.prewarm_for(ctx, kinds, stages);
+        self.create_pipelines(ctx, kinds, stages);
         self.resources.pipelines.pipeline_thread.end()
     }
 
     /// Does the same as [`Self::prewarm`] for given kinds of stages. Returns the number of pipelines that it created.
     pub(crate) fn prewarm_for(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind], stages: &StageKinds) -> u32 {
-        let before = self.resources.pipelines.created();
         self.announce_textures(ctx, kinds);
+        self.create_pipelines(ctx, kinds, stages)
+    }
+
+    /// Does the same as [`Self::prewarm_for`] without the textures.
+    pub(crate) fn create_pipelines(
+        &mut self,
+        ctx: &mut GraphicsContext,
+        kinds: &[DrawKind],
+        stages: &StageKinds,
+    ) -> u32 {
+        let before = self.resources.pipelines.created();
         let has_shadows = stages.0.iter().any(|drawn| drawn.has_shadows);
         for kind in kinds {
             for stage in &stages.0 {
@@ -123,7 +133,7 @@ impl Renderer {
     }
 
     /// Has the compile queue upload the textures of state sets, before the drawables that are queued next.
-    fn announce_textures(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind]) {
+    pub(crate) fn announce_textures(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind]) {
         let textures = &mut self.resources.state_groups.textures;
         for kind in kinds {
             for binding in (0..TEXTURE_UNITS).filter_map(|unit| kind.state.texture(unit)) {

@@ -315,6 +315,8 @@ impl DrawSide {
                 other => self.uploads.extend(other),
             }
         }
+        // Nothing waits for the pipelines of pages whose uploads were all cancelled.
+        while self.uploads.pop_back_if(|upload| matches!(upload, Upload::Prewarm(..))).is_some() {}
         self.context.cancel_compiles(tickets);
         self.pass_on_compiled();
     }
@@ -361,7 +363,8 @@ impl DrawSide {
                 Upload::Prewarm(kinds, stages) if self.lacks_pipelines(&kinds, &stages) => {
                     return self.uploads.push_front(Upload::Prewarm(kinds, stages));
                 }
-                Upload::Prewarm(..) => {}
+                // Only now, so that pages that wait or are cancelled allocate nothing.
+                Upload::Prewarm(kinds, _) => self.renderer.announce_textures(&mut self.context, &kinds),
                 Upload::Compile(operation) => self.context.compile(operation),
             }
         }
@@ -370,7 +373,7 @@ impl DrawSide {
     /// Returns true while the pipelines of the first of the uploads are being created.
     fn lacks_pipelines(&mut self, kinds: &[DrawKind], stages: &StageKinds) -> bool {
         if self.is_blocking {
-            self.renderer.prewarm_for(&mut self.context, kinds, stages);
+            self.renderer.create_pipelines(&mut self.context, kinds, stages);
             return false;
         }
         // Looked at again when the pipeline thread has created another one.

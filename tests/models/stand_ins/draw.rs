@@ -105,6 +105,17 @@ impl Renderer {
         0
     }
 
+    pub fn create_pipelines(
+        &mut self,
+        _context: &mut GraphicsContext,
+        _kinds: &[DrawKind],
+        _stages: &StageKinds,
+    ) -> u32 {
+        0
+    }
+
+    pub fn announce_textures(&mut self, _context: &mut GraphicsContext, _kinds: &[DrawKind]) {}
+
     pub fn prewarm_change(&mut self, _context: &mut GraphicsContext, _change: &ViewChange) {}
 
     pub fn show_image(
