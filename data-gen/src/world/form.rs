@@ -147,7 +147,7 @@ impl WorldSet {
         1.0 + off_m(level) + off_m(level.saturating_sub(2))
     }
 
-    /// Returns the description of a tile from its place alone.
+    /// Returns the description of a tile from its key alone.
     pub(super) fn expected(&self, key: TileKey) -> Described {
         let (error_m, heights_m) = (self.level_errors_m()[key.level as usize], self.bounds_m(key));
         match self.form.mesh {

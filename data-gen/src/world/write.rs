@@ -308,7 +308,7 @@ mod tests {
     use super::*;
     use crate::{Color, WorldPreset};
 
-    /// A subtree that a killed run has completed stays, and is measured as in a run of its own.
+    /// A subtree that a killed run has completed stays, and is measured as in a separate run.
     #[test]
     fn meshes_below_complete_tiles_are_not_made_again() {
         let folder = tempfile::tempdir().unwrap();

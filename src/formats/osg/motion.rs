@@ -108,7 +108,7 @@ impl SequenceObject {
         let (mut child, mut step) = (begin, if begin > end { -1 } else { 1 });
         let start = (child, step);
         let (mut round, mut time) = (Vec::new(), 0.0);
-        // The places in rounds at which an end of the interval is reached.
+        // The times, in rounds, at which an end of the interval is reached.
         let mut ends = Vec::new();
         loop {
             time += seconds(child);

@@ -92,7 +92,7 @@ impl Part {
     }
 }
 
-/// Fails for sets of different bodies, which have no place in common.
+/// Fails for sets of different bodies, which have no common coordinate system.
 fn check_bodies(sources: &[PathBuf], parts: &[Part]) -> Result<()> {
     let ellipsoid = |part: &Part| part.body.as_ref().map_or(WGS84, Body::ellipsoid);
     let named = |part: &Part| part.body.as_ref().map_or("the earth".to_owned(), Body::to_string);

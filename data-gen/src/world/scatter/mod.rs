@@ -29,7 +29,7 @@ const FOREST: f32 = 0.35;
 /// The height of the tallest tree in metres.
 pub(super) const TALLEST_M: f64 = 32.0;
 
-/// More than the widest tree or rock reaches from its place in metres.
+/// More than the widest tree or rock reaches from its position in metres.
 pub(super) const WIDEST_M: f64 = 8.0;
 
 /// An instance: its place in the frame of the tile (east, up, south), its turn around the vertical, and its size.

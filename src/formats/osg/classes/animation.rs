@@ -74,7 +74,7 @@ impl Reader<'_> {
         Ok(PathObject::new(points, looping).map_or(Object::Nothing, |path| Object::Path(Arc::new(path))))
     }
 
-    /// Reads a time with its place.
+    /// Reads a time with its pose.
     fn path_point(&mut self) -> Result<PathPoint> {
         self.input.keyword("Time")?;
         let time_s = self.double()?;

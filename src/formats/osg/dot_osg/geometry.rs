@@ -35,7 +35,7 @@ impl Reader {
             return Ok(None);
         }
         if is_text {
-            // The state set of a text has a program of OSG's own, whose place the engine's shader takes.
+            // The state set of a text has a program of OSG, which the engine's shader replaces.
             let notes = std::mem::take(&mut self.notes);
             let state = Self::take_state(&mut self.objects(block)?);
             self.notes = notes;

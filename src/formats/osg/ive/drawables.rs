@@ -82,7 +82,7 @@ impl Reader<'_> {
     /// Reads the members of a Text or Text3D.
     fn text_members(&mut self, class: u32) -> Result<Object> {
         let is_flat = class != ids::TEXT_3D;
-        // The state set of a text has a program of OSG's own, whose place the engine's shader takes.
+        // The state set of a text has a program of OSG, which the engine's shader replaces.
         let notes = std::mem::take(&mut self.notes);
         let drawable = self.drawable_members()?;
         self.notes = notes;

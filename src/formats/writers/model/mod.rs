@@ -58,7 +58,7 @@ impl LeafShape {
     }
 }
 
-/// A mesh or splats with their place in the model.
+/// A mesh or splats with their transform in the model.
 #[derive(Clone, Debug)]
 pub(in crate::formats) struct Leaf {
     /// Maps the drawable to the frame of the model, z up.

@@ -185,7 +185,7 @@ mod tests {
             let places = part.list().iter().map(|splat| cloud.list().iter().position(|other| other == splat));
             assert!(places.collect::<Vec<_>>().is_sorted());
         }
-        // Splats at one place are cut too, and those of another number have no such harmonics.
+        // Splats at one position are cut too, and those of another number have no such harmonics.
         let same = Splats::new(vec![parts[0].list()[0]; 10]);
         assert_eq!(same.clone().cut(0).len(), 10);
         assert!(same.with_harmonics(SplatHarmonics::new(2, false)).is_none());

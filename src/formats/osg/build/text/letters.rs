@@ -1,4 +1,4 @@
-//! The letters of a text in lines, as osgText places them, and their mesh.
+//! The letters of a text in lines, as osgText lays them out, and their mesh.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use crate::formats::osg::build::looks::linear;
 use crate::formats::osg::text::TextObject;
 use crate::scene::{AlphaMode, ContentKey, Drawable, Geometry, Material, Mesh, MeshVertex, Topology};
 
-/// The lengths of letters and lines that are drawn, so that floats hold the places of all letters of a file.
+/// The lengths of letters and lines that are drawn, so that floats hold the positions of all letters of a file.
 const MIN_LENGTH: f64 = 1e-12;
 const MAX_LENGTH: f64 = 1e12;
 
@@ -47,7 +47,7 @@ fn lines<'a>(characters: &'a [char], unit: f64, max_width: f64) -> Vec<Line<'a>>
     let mut rest = characters;
     while !rest.is_empty() {
         let (mut width, mut before): (f64, Option<&Letter>) = (0.0, None);
-        // The number of characters in the line, and the last place where it may be broken, with the width up to there.
+        // The number of characters in the line, and the last character at which it may be broken, with the width up to there.
         let (mut count, mut space) = (0, None);
         let mut is_full = false;
         for (at, character) in rest.iter().enumerate() {

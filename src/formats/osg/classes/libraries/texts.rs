@@ -18,7 +18,7 @@ const VERSION_OF_COLORS: u32 = 68;
 impl Reader<'_> {
     /// Reads the members of a Text, FadeText or Text3D.
     pub(super) fn text(&mut self, class: &str) -> Result<Object> {
-        // The state set of a text has a program of OSG's own, whose place the engine's shader takes.
+        // The state set of a text has a program of OSG, which the engine's shader replaces.
         let notes = std::mem::take(&mut self.notes);
         let drawable = self.drawable_members()?;
         self.notes = notes;
