@@ -57,16 +57,6 @@ impl Renderer {
         self.resources.pipelines.pipeline_thread.end()
     }
 
-    /// Keeps the pipeline thread from creating anything until the returned sender is dropped.
-    #[cfg(test)]
-    pub(crate) fn hold_pipelines(&mut self, ctx: &GraphicsContext) -> crate::sync::primitives::channel::Sender<()> {
-        let (hold, held) = crate::sync::primitives::channel::bounded::<()>(1);
-        let thread = &mut self.resources.pipelines.pipeline_thread;
-        let wait = move |_: &wgpu::Device| held.recv().is_ok();
-        drop(thread.order(ctx.device(), "hold".to_owned(), wait));
-        hold
-    }
-
     /// Does the same as [`Self::prewarm`] for given kinds of stages. Returns the number of pipelines that it created.
     pub(crate) fn prewarm_for(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind], stages: &StageKinds) -> u32 {
         self.announce_textures(ctx, kinds);
@@ -207,5 +197,37 @@ impl Renderer {
         let mut formats = TargetFormats { colors: [None; MAX_COLOR_ATTACHMENTS], depth, samples, keeps_alpha: false };
         formats.colors[0] = Some(Targets::drawn_format(ctx, Tones::Displayed));
         self.resources.pipelines.target(&formats)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::gpu::{AdapterChoice, ContextTraits};
+    use crate::scene::{Drawable, Geometry, Material, Mesh, MeshVertex, Node, Page, Scene};
+    use crate::state::{Attribute, StateSet, TextureBinding, TextureObject};
+
+    /// Regression: a page that waited for its pipelines had its textures already.
+    #[test]
+    fn textures_are_announced_apart_from_pipelines() {
+        let traits = ContextTraits { size_px: [4, 4], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
+        let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
+        let mut renderer = Renderer::new(&mut ctx);
+        let texture = TextureObject::image("t", [64, 64], vec![9; 64 * 64 * 4]);
+        let set = StateSet::default().with(Attribute::Texture(0, TextureBinding::new(texture)));
+        let corner = |x, y| MeshVertex { position: [x, y, 0.0], ..MeshVertex::default() };
+        let vertices = vec![corner(0.0, 0.0), corner(1.0, 0.0), corner(0.0, 1.0)];
+        let mesh = Mesh { vertices, indices: vec![0, 1, 2].into(), ..Mesh::default() };
+        let drawable = Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default());
+        let node = Node::geode(vec![drawable]).with_state_set(Arc::new(set));
+        let kinds = Scene::new().draw_kinds(None, &Page::from_node(node).unwrap());
+        let (stages, before) = (renderer.stage_kinds(&ctx), ctx.bytes_allocated());
+        renderer.order_prewarm(&mut ctx, &kinds, &stages);
+        renderer.create_pipelines(&mut ctx, &kinds, &stages);
+        assert_eq!(ctx.bytes_allocated(), before);
+        renderer.announce_textures(&mut ctx, &kinds);
+        assert!(ctx.bytes_allocated() >= before + 64 * 64 * 4);
     }
 }

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use glam::DMat4;
 
-use super::millis::millis;
+use super::frame_job::millis;
 use crate::cull::{CullCamera, CullCounters, CullVisitor, PageRequest, RenderStage, Stereo, StereoMode};
 use crate::draw::{BinCallback, CameraCallbacks};
 use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, Environment, Scene};

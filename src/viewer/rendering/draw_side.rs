@@ -4,30 +4,26 @@
 //! A frame arrives as one command per context of the device. The stages to draw arrive separately from the culls, one per
 //! camera.
 
-use std::collections::{HashSet, VecDeque};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use super::cull_side::{CullSide, Culled};
-use super::frame_job::{DrawCommand, FrameDone, FrameJob, Reply};
-use super::millis::millis;
+use super::frame_job::{DrawCommand, FrameDone, FrameJob, Reply, millis};
+use super::pending_uploads::{PendingUploads, Upload};
 use super::retained_slots::RetainedSlots;
 use crate::cull::RenderStage;
 use crate::draw::{CameraView, DrawStats, FrameClock, Renderer, StageKinds};
-use crate::gpu::{CompileBudget, CompileOperation, Compiled, GpuError, GraphicsContext};
+use crate::gpu::{CompileBudget, Compiled, GpuError, GraphicsContext};
 use crate::pager::ImageChange;
 use crate::scene::DrawKind;
 use crate::sync::primitives::channel::{Receiver, Sender};
 use crate::sync::{BlockCount, Operation, OperationQueue};
 use crate::trace;
 
-/// An upload that has arrived and not begun.
-enum Upload {
-    /// Kinds of drawables whose pipelines are created first, for the stages that were drawn when they arrived.
-    Prewarm(Arc<[DrawKind]>, StageKinds),
-    Compile(CompileOperation),
-}
+/// The kinds of drawables of a page, and the stages that were drawn when it arrived: its pipelines are created before it is
+/// uploaded.
+type PageKinds = (Arc<[DrawKind]>, StageKinds);
 
 /// The draw end of a camera's channels: stages arrive culled and are returned empty.
 pub(super) struct DrawEnd {
@@ -103,8 +99,7 @@ pub(super) struct DrawSide {
     jobs: Vec<FrameJob>,
     /// Results that are drawn and not yet presented, and whether to present them.
     drawn: Vec<(Box<FrameDone>, bool)>,
-    /// Uploads in order that wait for the pipelines before them.
-    uploads: VecDeque<Upload>,
+    uploads: PendingUploads<PageKinds>,
     /// The pager waits for uploads, so that nothing is gained by creating pipelines on another thread.
     is_blocking: bool,
     /// The number of pipelines in creation when the first of the uploads last had to wait for them.
@@ -144,7 +139,7 @@ impl DrawSide {
             meets_others: false,
             jobs: Vec::new(),
             drawn: Vec::new(),
-            uploads: VecDeque::new(),
+            uploads: PendingUploads::default(),
             is_blocking,
             pipelines_open: 0,
             images: Vec::new(),
@@ -217,7 +212,7 @@ impl DrawSide {
                     // In creation while the uploads before are under way.
                     self.renderer.order_prewarm(&mut self.context, &kinds, &stages);
                 }
-                self.uploads.push_back(Upload::Prewarm(kinds, stages));
+                self.uploads.push(Upload::Pipelines((kinds, stages)));
                 return self.begin_uploads();
             }
             DrawCommand::PrewarmNow(kinds) => {
@@ -225,7 +220,7 @@ impl DrawSide {
                 return;
             }
             DrawCommand::Compile(operation) => {
-                self.uploads.push_back(Upload::Compile(operation));
+                self.uploads.push(Upload::Compile(operation));
                 return self.begin_uploads();
             }
             DrawCommand::PrewarmChange(change) => return self.renderer.prewarm_change(&mut self.context, &change),
@@ -305,18 +300,10 @@ impl DrawSide {
 
     /// Cancels operations by ticket, those that wait behind pipelines included.
     fn cancel_compiles(&mut self, tickets: &[u64]) {
-        let cancelled: HashSet<u64> = tickets.iter().copied().collect();
         // The upload queue answers those that have not begun.
-        for _ in 0..self.uploads.len() {
-            match self.uploads.pop_front() {
-                Some(Upload::Compile(operation)) if cancelled.contains(&operation.ticket) => {
-                    self.context.compile(operation);
-                }
-                other => self.uploads.extend(other),
-            }
+        for operation in self.uploads.cancel(tickets) {
+            self.context.compile(operation);
         }
-        // Nothing waits for the pipelines of pages whose uploads were all cancelled.
-        while self.uploads.pop_back_if(|upload| matches!(upload, Upload::Prewarm(..))).is_some() {}
         self.context.cancel_compiles(tickets);
         self.pass_on_compiled();
     }
@@ -358,13 +345,13 @@ impl DrawSide {
     /// Passes uploads on to the upload queue, until one needs pipelines that the pipeline thread is still creating: no draw has to
     /// create them.
     fn begin_uploads(&mut self) {
-        while let Some(upload) = self.uploads.pop_front() {
+        while let Some(upload) = self.uploads.pop() {
             match upload {
-                Upload::Prewarm(kinds, stages) if self.lacks_pipelines(&kinds, &stages) => {
-                    return self.uploads.push_front(Upload::Prewarm(kinds, stages));
+                Upload::Pipelines((kinds, stages)) if self.lacks_pipelines(&kinds, &stages) => {
+                    return self.uploads.put_back(Upload::Pipelines((kinds, stages)));
                 }
                 // Only now, so that pages that wait or are cancelled allocate nothing.
-                Upload::Prewarm(kinds, _) => self.renderer.announce_textures(&mut self.context, &kinds),
+                Upload::Pipelines((kinds, _)) => self.renderer.announce_textures(&mut self.context, &kinds),
                 Upload::Compile(operation) => self.context.compile(operation),
             }
         }
@@ -392,9 +379,11 @@ impl DrawSide {
 
     /// Uploads everything; returns false when something is left that cannot be uploaded now.
     fn finish_compiles(&mut self, waits_for_memory: bool) -> bool {
-        while let Some(upload) = self.uploads.pop_front() {
+        while let Some(upload) = self.uploads.pop() {
             match upload {
-                Upload::Prewarm(kinds, stages) => _ = self.renderer.prewarm_for(&mut self.context, &kinds, &stages),
+                Upload::Pipelines((kinds, stages)) => {
+                    self.renderer.prewarm_for(&mut self.context, &kinds, &stages);
+                }
                 Upload::Compile(operation) => self.context.compile(operation),
             }
         }
@@ -554,46 +543,5 @@ impl DrawSide {
         let format = context.color_format();
         let painter = crate::viewer::overlay::OverlayPainter::of(painters, paint, context.device(), format);
         painter.paint(context.device(), context.queue(), context.color_view(), paint);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::gpu::{AdapterChoice, ContextTraits};
-    use crate::scene::{Drawable, Geometry, Material, Mesh, MeshVertex, Node, Page, Scene};
-    use crate::state::{Attribute, StateSet, TextureBinding, TextureObject};
-    use crate::sync::primitives::channel;
-
-    /// Regression: a cancelled page kept the textures of its states until its pipelines were created.
-    #[test]
-    fn cancelled_page_that_waits_for_pipelines_keeps_nothing() {
-        let traits = ContextTraits { size_px: [4, 4], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
-        let context = GraphicsContext::new_offscreen(&traits).unwrap();
-        let ((_commands, commands), (replies, _replied)) = (channel::unbounded(), channel::unbounded());
-        let (compiled, answers) = channel::unbounded();
-        let (stopping, running_compiles) = Default::default();
-        let ends = DrawSideEnds { commands, replies, stopping, running_compiles, compiled };
-        let mut side = DrawSide::new(context, 0, ends, false);
-        let hold = side.renderer.hold_pipelines(&side.context);
-
-        let texture = TextureObject::image("t", [64, 64], vec![9; 64 * 64 * 4]);
-        let before = side.context.bytes_allocated();
-        let set = StateSet::default().with(Attribute::Texture(0, TextureBinding::new(texture.clone())));
-        let corner = |x, y| MeshVertex { position: [x, y, 0.0], ..MeshVertex::default() };
-        let vertices = vec![corner(0.0, 0.0), corner(1.0, 0.0), corner(0.0, 1.0)];
-        let mesh = Mesh { vertices, indices: vec![0, 1, 2].into(), ..Mesh::default() };
-        let drawable = Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default());
-        let node = Node::geode(vec![drawable]).with_state_set(Arc::new(set));
-        let mut page = Page::from_node(node).unwrap();
-        side.execute(DrawCommand::Prewarm(Scene::new().draw_kinds(None, &page).into()));
-        side.execute(DrawCommand::Compile(CompileOperation { ticket: 7, drawables: page.take_drawables() }));
-        drop(page);
-        assert_eq!((side.uploads.len(), side.context.bytes_allocated()), (2, before));
-        side.execute(DrawCommand::CancelCompiles(vec![7]));
-        assert_eq!(answers.try_recv().unwrap().ticket, 7);
-        assert_eq!((side.uploads.len(), side.context.bytes_allocated()), (0, before));
-        assert_eq!(Arc::strong_count(&texture), 1);
-        drop(hold);
     }
 }

@@ -4,6 +4,7 @@
 //! follows the last one.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use image::RgbaImage;
 
@@ -132,4 +133,9 @@ pub(super) enum Reply {
         /// False when the device was lost or there was no memory.
         all: bool,
     },
+}
+
+/// Returns a duration in milliseconds, as the results of a frame have them.
+pub(in crate::viewer) fn millis(duration: Duration) -> f64 {
+    duration.as_secs_f64() * 1e3
 }
