@@ -5,6 +5,7 @@ use std::io::Read;
 
 use super::error::IoError;
 use super::limits::Limits;
+use super::memory::gated;
 
 /// The `Accept-Encoding` of requests.
 #[cfg(feature = "http")]
@@ -61,7 +62,7 @@ pub(crate) fn unzstd(uri: &str, mut bytes: &[u8], limit: u64) -> Result<Vec<u8>,
         match ruzstd::decoding::StreamingDecoder::new(&mut bytes) {
             Ok(mut decoder) => {
                 let left = limit - out.len() as u64;
-                (&mut decoder).take(left + 1).read_to_end(&mut out).map_err(|e| bad(e.to_string()))?;
+                gated(&mut decoder).take(left + 1).read_to_end(&mut out).map_err(|e| bad(e.to_string()))?;
                 if out.len() as u64 > limit {
                     return Err(IoError::TooLarge { uri: uri.to_owned(), what: "file", got: limit + 1, limit });
                 }
@@ -88,7 +89,7 @@ pub(crate) fn gunzip(uri: &str, bytes: Vec<u8>, limits: &Limits) -> Result<Vec<u
     }
     let max_bytes = limits.max_file_bytes.saturating_add(1);
     let mut plain = Vec::with_capacity(max_bytes.min(bytes.len() as u64 * 3) as usize);
-    flate2::read::MultiGzDecoder::new(bytes.as_slice())
+    gated(flate2::read::MultiGzDecoder::new(bytes.as_slice()))
         .take(max_bytes)
         .read_to_end(&mut plain)
         .map_err(|e| IoError::invalid(uri, format!("gzip: {e}")))?;

@@ -4,9 +4,9 @@ use std::net::IpAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-#[cfg(feature = "http")]
-use super::byte_budget::NoRoom;
 use super::markup::printable;
+#[cfg(feature = "http")]
+use super::memory::NoRoom;
 use super::uri::{is_remote, shown};
 
 /// The reason why a URI could not be read or decoded. Every variant names the URI. The error text omits the user name, the

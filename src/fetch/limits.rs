@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use super::error::IoError;
+use super::memory::about_to_allocate;
 
 /// Upper limits for data from outside. The defaults are above what real tile sets hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -91,6 +92,7 @@ impl Limits {
                 });
             }
         }
+        about_to_allocate(bytes);
         Ok(())
     }
 }

@@ -5,8 +5,6 @@
 //! reason.
 
 mod archive;
-#[cfg_attr(not(feature = "http"), allow(dead_code, reason = "only answers of servers claim bytes"))]
-mod byte_budget;
 mod cache;
 pub(crate) mod encoding;
 mod error;
@@ -17,6 +15,7 @@ mod http;
 mod hung_reads;
 mod limits;
 pub(crate) mod markup;
+mod memory;
 #[cfg(feature = "object-store")]
 mod object_store;
 mod panic_guard;
@@ -32,9 +31,6 @@ mod uri;
 pub use archive::{RemoteFile, RemoteFiles};
 #[cfg(feature = "testing")]
 pub use archive::{fuzz_index, fuzz_packed, fuzz_pmtiles};
-pub(crate) use byte_budget::{BudgetUse, ByteBudget, LoadRoom, Permit};
-#[cfg(feature = "http")]
-pub(crate) use byte_budget::{Claim, NoRoom};
 pub use cache::CacheStats;
 #[cfg(all(feature = "http", feature = "testing"))]
 pub use cache::fuzz_cache_entry;
@@ -57,6 +53,9 @@ pub use hung_reads::HungReads;
 pub(crate) use limits::JSON_OBJECT_BYTES;
 pub use limits::Limits;
 pub use markup::printable;
+pub(crate) use memory::{BudgetUse, ByteBudget, LargeContents, LoadRoom, Permit, about_to_allocate, gated};
+#[cfg(feature = "http")]
+pub(crate) use memory::{Claim, NoRoom};
 #[cfg(feature = "object-store")]
 pub use object_store::{ObjectFolder, ObjectHeaders, ObjectList};
 pub use panic_guard::DECODER_PANICKED;

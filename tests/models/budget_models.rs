@@ -1,7 +1,7 @@
 //! The budgets of bytes on their way under shuttle: the library's own file, between loads, decoders and an update as the
 //! pagers have them. A schedule fails if a load waits forever or if more is in use than the limit.
 
-#[path = "../../src/fetch/byte_budget.rs"]
+#[path = "../../src/fetch/memory/byte_budget.rs"]
 mod byte_budget;
 
 use std::future::Future;

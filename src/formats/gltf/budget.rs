@@ -2,8 +2,10 @@
 
 use std::cell::Cell;
 
-use crate::fetch::{IoError, Limits};
+use crate::fetch::{IoError, Limits, about_to_allocate};
 
+/// About the bytes that a vertex takes while it is assembled, with its attributes.
+const VERTEX_BYTES: u64 = 64;
 /// A primitive takes about as much memory as this many vertices.
 const VERTICES_PER_PRIMITIVE: usize = 16;
 
@@ -40,10 +42,12 @@ impl<'a> Budget<'a> {
     }
 
     pub fn add_vertices(&self, count: usize) -> Result<(), IoError> {
+        about_to_allocate(VERTEX_BYTES.saturating_mul(count as u64));
         self.add(&self.vertices, count, self.limits.max_elements, "vertices of a glTF")
     }
 
     pub fn add_indices(&self, count: usize) -> Result<(), IoError> {
+        about_to_allocate(4 * count as u64);
         self.add(&self.indices, count, self.limits.max_elements.saturating_mul(8), "indices of a glTF")
     }
 
@@ -51,6 +55,7 @@ impl<'a> Budget<'a> {
     pub fn add_decoded(&self, bytes: u64) -> Result<(), IoError> {
         let (got, limit) = (self.decoded_bytes.get().saturating_add(bytes), self.limits.max_file_bytes);
         self.decoded_bytes.set(got);
+        about_to_allocate(bytes);
         if got > limit {
             return Err(IoError::TooLarge { uri: self.uri.to_owned(), what: "decompressed glTF", got, limit });
         }
@@ -87,5 +92,24 @@ impl<'a> Budget<'a> {
             return Err(IoError::TooLarge { uri: self.uri.to_owned(), what, got, limit });
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fetch::{ByteBudget, LargeContents};
+
+    #[test]
+    fn counts_are_also_those_of_the_decode_thread() {
+        let (memory, limits) = (ByteBudget::new(u64::MAX), Limits::default());
+        let permit = memory.hold(0);
+        LargeContents::default().decode(&permit, || {
+            let budget = Budget::new("a", &limits);
+            budget.add_vertices(10).unwrap();
+            budget.add_indices(10).unwrap();
+            budget.add_decoded(1000).unwrap();
+        });
+        assert_eq!(memory.total().bytes, 640 + 40 + 1000);
     }
 }

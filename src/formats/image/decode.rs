@@ -10,7 +10,7 @@ use super::ktx2::{self, Levels};
 use super::mips::mips;
 use super::rgba::decode_rgb;
 use crate::fetch::markup::refuse_markup;
-use crate::fetch::{IoError, Limits, guarded};
+use crate::fetch::{IoError, Limits, about_to_allocate, guarded};
 use crate::formats::ignored::Notes;
 use crate::formats::options::ReadOptions;
 use crate::scene::{BlockFormats, ContentKey, Sampling, SharedContent, TexelFormat, Texture};
@@ -54,7 +54,7 @@ pub(in crate::formats) fn size_of(uri: &str, bytes: &[u8], limits: &Limits) -> R
     };
     let size = ImageReader::with_format(Cursor::new(bytes), format).into_dimensions();
     let (width, height) = size.map_err(|error| IoError::invalid(uri, format!("image: {error}")))?;
-    check_size(uri, width, height, limits)?;
+    check_area(uri, width, height, limits)?;
     Ok([width, height])
 }
 
@@ -137,8 +137,15 @@ fn texture_of(all: Levels, format: TexelFormat, sampling: Sampling, limits: &Lim
     Arc::new(Texture { width: side(width), height: side(height), format, mips, sampling })
 }
 
-/// Checks the size of an image before its pixels are decoded.
+/// Checks the size of an image before its pixels are decoded, and counts the memory of its texels.
 pub(in crate::formats) fn check_size(uri: &str, width: u32, height: u32, limits: &Limits) -> Result<(), IoError> {
+    check_area(uri, width, height, limits)?;
+    // All levels together have a third more than the first.
+    about_to_allocate(u64::from(width) * u64::from(height) * 4 / 3 * 4);
+    Ok(())
+}
+
+fn check_area(uri: &str, width: u32, height: u32, limits: &Limits) -> Result<(), IoError> {
     if width == 0 || height == 0 {
         return Err(IoError::invalid(uri, format!("image of {width} x {height} pixels")));
     }
@@ -172,4 +179,23 @@ fn decode_raster(uri: &str, bytes: &[u8], format: ImageFormat, limits: &Limits) 
 /// Decodes the bytes of an image file to a clamped RGBA8 texture. If the decoder panics, only this file fails.
 pub(crate) fn decode_file(uri: &str, bytes: &[u8], limits: &Limits) -> Result<Arc<Texture>, IoError> {
     guarded(uri, || decode(uri, bytes, TexelFormat::Rgba8, Sampling::default(), limits))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fetch::{ByteBudget, LargeContents};
+
+    #[test]
+    fn texels_of_all_levels_are_counted() {
+        let mut png = Vec::new();
+        image::RgbImage::new(64, 32).write_to(&mut Cursor::new(&mut png), ImageFormat::Png).unwrap();
+        let memory = ByteBudget::new(u64::MAX);
+        let permit = memory.hold(0);
+        let limits = Limits::default();
+        let decoded = LargeContents::default().decode(&permit, || decode_file("a", &png, &limits));
+        assert!(decoded.is_ok());
+        assert_eq!(memory.total().bytes, 64 * 32 * 4 / 3 * 4);
+        assert_eq!(size_of("a", &png, &limits).unwrap(), [64, 32]);
+    }
 }

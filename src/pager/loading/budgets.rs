@@ -1,6 +1,6 @@
 //! [`LoadBudgets`]: the bytes that are on their way between a server or a disk and a scene.
 
-use crate::fetch::{BudgetUse, ByteBudget};
+use crate::fetch::{BudgetUse, ByteBudget, LargeContents};
 
 /// The two budgets of a set of loading threads. Clones are the same budgets.
 ///
@@ -11,13 +11,19 @@ use crate::fetch::{BudgetUse, ByteBudget};
 pub(in crate::pager) struct LoadBudgets {
     pub bodies: ByteBudget,
     pub contents: ByteBudget,
+    /// Contents whose decoders need more than is free in `contents`.
+    pub large: LargeContents,
 }
 
 impl LoadBudgets {
     /// Creates budgets of half of `max_bytes` each. That of contents has no limit if `waits_for_contents` is false.
     pub fn new(max_bytes: u64, waits_for_contents: bool) -> Self {
         let contents = if waits_for_contents { max_bytes / 2 } else { u64::MAX };
-        Self { bodies: ByteBudget::new(max_bytes / 2), contents: ByteBudget::new(contents) }
+        Self {
+            bodies: ByteBudget::new(max_bytes / 2),
+            contents: ByteBudget::new(contents),
+            large: LargeContents::default(),
+        }
     }
 
     /// Returns what both use together. Their maxima may be of different times.

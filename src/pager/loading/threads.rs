@@ -13,7 +13,7 @@ use super::http::{self, HttpAccess};
 use super::job::{Answer, LoadJob, LoadedBytes};
 use super::request_list::RequestList;
 use super::thread_set::{ThreadSet, follow_core};
-use crate::fetch::{self, ByteBudget};
+use crate::fetch;
 use crate::pager::config::PagerError;
 
 /// Files that may be read and not yet decoded, per decode thread: waiting bytes are memory, and disks are quick.
@@ -96,8 +96,8 @@ impl<J: LoadJob> LoadThreads<J> {
         for i in 0..decoders {
             let open = if cfg!(feature = "http") { 2 } else { 1 };
             let intake = Intake { files: read.clone(), servers: received.clone(), open };
-            let (sender, contents) = (answer_sender.clone(), budgets.contents.clone());
-            threads.spawn(&format!("decode-{i}"), move || decode(intake, &sender, &contents))?;
+            let (sender, budgets) = (answer_sender.clone(), budgets.clone());
+            threads.spawn(&format!("decode-{i}"), move || decode(intake, &sender, &budgets))?;
         }
         Ok(threads)
     }
@@ -186,24 +186,28 @@ impl<J> Intake<J> {
     }
 }
 
-fn decode<J: LoadJob>(mut intake: Intake<J>, sender: &Sender<Answer<J>>, contents: &ByteBudget) {
+fn decode<J: LoadJob>(mut intake: Intake<J>, sender: &Sender<Answer<J>>, budgets: &LoadBudgets) {
+    let LoadBudgets { contents, large, .. } = budgets;
     while let Some(LoadedBytes { job, loaded, companions, bytes_read, bytes_http, permit }) = intake.next() {
         follow_core();
         // A content is rarely smaller than its bytes. Its decoder needs about as much again, such as for decompressed bytes and
         // for images before they have their final format.
         let expected_bytes = bytes_read.max(contents.expected_bytes()).saturating_mul(2);
-        let held = loaded.is_ok().then(|| contents.reserve_blocking(expected_bytes, job.is_prefetch()));
-        let span = job.decode_span();
-        let content = loaded.and_then(|loaded| job.decode(loaded, companions));
-        drop(span);
+        let decoded = loaded.and_then(|loaded| {
+            let held = contents.reserve_blocking(expected_bytes, job.is_prefetch());
+            let _span = job.decode_span();
+            let content = large.decode(&held, || job.decode(loaded, companions))?;
+            let bytes = J::content_bytes(&content);
+            contents.learn(bytes);
+            held.set_bytes(bytes);
+            Ok((content, held))
+        });
         // The bytes were dropped with their decoder.
         drop(permit);
-        let permit = held.filter(|_| content.is_ok());
-        if let (Some(permit), Ok(content)) = (&permit, &content) {
-            let bytes = J::content_bytes(content);
-            contents.learn(bytes);
-            permit.set_bytes(bytes);
-        }
+        let (content, permit) = match decoded {
+            Ok((content, held)) => (Ok(content), Some(held)),
+            Err(error) => (Err(error), None),
+        };
         if sender.send(Answer { job, content: Some(content), bytes_read, bytes_http, permit }).is_err() {
             return;
         }

@@ -6,6 +6,7 @@ use super::Input;
 use super::binary::BinaryInput;
 use super::text::TextInput;
 use super::values::Number;
+use crate::fetch::gated;
 use crate::formats::osg::error::{OsgError, Result};
 
 /// The first bytes of a binary file: two numbers in the byte order of the writer.
@@ -104,8 +105,8 @@ pub(in super::super) fn inflate(bytes: &[u8], max_bytes: u64) -> Result<Vec<u8>>
     let mut plain = Vec::new();
     let limit = max_bytes.saturating_add(1);
     let read = match bytes.starts_with(&[0x1f, 0x8b]) {
-        true => flate2::read::GzDecoder::new(bytes).take(limit).read_to_end(&mut plain),
-        false => flate2::read::ZlibDecoder::new(bytes).take(limit).read_to_end(&mut plain),
+        true => gated(flate2::read::GzDecoder::new(bytes)).take(limit).read_to_end(&mut plain),
+        false => gated(flate2::read::ZlibDecoder::new(bytes)).take(limit).read_to_end(&mut plain),
     };
     read.map_err(|e| OsgError::invalid(format!("zlib: {e}")))?;
     if plain.len() as u64 > max_bytes {
