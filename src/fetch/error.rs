@@ -6,8 +6,7 @@ use std::time::Duration;
 
 #[cfg(feature = "http")]
 use super::byte_budget::NoRoom;
-use super::markup::printable;
-use super::uri::{is_remote, shown};
+use super::uri::{is_remote, printable, shown};
 
 /// The reason why a URI could not be read or decoded. Every variant names the URI. The error text omits the user name, the
 /// password and the query values of a URL, since they may be secrets ([`shown`]).

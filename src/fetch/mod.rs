@@ -5,6 +5,7 @@
 //! reason.
 
 mod archive;
+mod archive_names;
 #[cfg_attr(not(feature = "http"), allow(dead_code, reason = "only answers of servers claim bytes"))]
 mod byte_budget;
 mod cache;
@@ -20,7 +21,6 @@ pub(crate) mod markup;
 #[cfg(feature = "object-store")]
 mod object_store;
 mod panic_guard;
-mod percent;
 mod scope;
 #[cfg(feature = "http")]
 pub mod services;
@@ -32,6 +32,8 @@ mod uri;
 pub use archive::{RemoteFile, RemoteFiles};
 #[cfg(feature = "testing")]
 pub use archive::{fuzz_index, fuzz_packed, fuzz_pmtiles};
+#[cfg(all(feature = "http", feature = "testing"))]
+pub use archive_names::fuzz_url;
 pub(crate) use byte_budget::{BudgetUse, ByteBudget, LoadRoom, Permit};
 #[cfg(feature = "http")]
 pub(crate) use byte_budget::{Claim, NoRoom};
@@ -56,20 +58,17 @@ pub use http::{AllowedHost, Credential, HttpBody, HttpClient, HttpConfig, StoreO
 pub use hung_reads::HungReads;
 pub(crate) use limits::JSON_OBJECT_BYTES;
 pub use limits::Limits;
-pub use markup::printable;
 #[cfg(feature = "object-store")]
 pub use object_store::{ObjectFolder, ObjectHeaders, ObjectList};
 pub use panic_guard::DECODER_PANICKED;
 pub(crate) use panic_guard::guarded;
-pub(crate) use percent::percent_decode;
 pub(crate) use scope::root_uri_within;
 pub use scope::{RootScope, resolve, root_uri};
+pub use source::Fetched;
 pub(crate) use source::{Loaded, Source};
 #[cfg(feature = "http")]
 pub(crate) use time_limit::run_within;
-#[cfg(all(feature = "http", feature = "testing"))]
-pub use uri::fuzz_url;
-pub(crate) use uri::path_of;
 #[cfg(feature = "http")]
 pub(crate) use uri::server;
-pub use uri::{is_http, is_remote, is_store, shown};
+pub use uri::{is_http, is_remote, is_store, printable, shown};
+pub(crate) use uri::{path_of, percent_decode};
