@@ -8,10 +8,10 @@ use serde::Deserialize;
 
 use super::draco::{DracoJson, DracoPoints};
 use crate::fetch::IoError;
-use crate::formats::feature_table::{self, BinaryOffset, Global};
 use crate::formats::ignored::Notes;
 use crate::formats::options::ReadOptions;
 use crate::formats::properties;
+use crate::formats::properties::feature_table::{self, BinaryOffset, Global};
 use crate::math::Aabb;
 use crate::math::color::linear_from_srgb8;
 use crate::scene::{

@@ -15,7 +15,7 @@ use crate::formats::lenient::{Number, Numbers, Text, texts};
 use crate::formats::options::{Fetched, ReadOptions};
 
 /// The maximum number of layers: a loader asks for further files a limited number of times.
-const MAX_LAYERS: usize = crate::formats::read::MAX_DEPENDENCY_ROUNDS + 1;
+const MAX_LAYERS: usize = crate::formats::options::MAX_DEPENDENCY_ROUNDS + 1;
 /// The finest level of a layer that names neither its tiles nor a level.
 const USUAL_MAX_ZOOM: u32 = 18;
 /// The extensions of tiles that are asked for, by their names in layer.json.
