@@ -47,7 +47,7 @@ struct Measure {
 }
 
 /// Returns the errors of a set's levels in metres, root first.
-pub(super) fn level_errors_m(set: &WorldSet) -> Vec<f64> {
+fn level_errors_m(set: &WorldSet) -> Vec<f64> {
     let levels = set.levels();
     let measures: Vec<Measure> = (0..levels).into_par_iter().map(|level| measure(set, level)).collect();
     let valley_m = VALLEY_MARGIN * valley_m(set);
@@ -68,6 +68,13 @@ pub(super) fn level_errors_m(set: &WorldSet) -> Vec<f64> {
         errors[level] = (measured_m + bulge_m).max(sharp_m).max(RATIO * next_m).max(QUANTUM_M);
     }
     errors
+}
+
+impl WorldSet {
+    /// Returns the errors of levels in metres, root first. The first call measures them on the threads of the rayon pool.
+    pub fn level_errors_m(&self) -> &[f64] {
+        self.level_errors_m.get_or_init(|| level_errors_m(self))
+    }
 }
 
 const NO_RANGE: [f32; 2] = [f32::INFINITY, f32::NEG_INFINITY];
