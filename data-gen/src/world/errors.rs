@@ -70,13 +70,6 @@ fn level_errors_m(set: &WorldSet) -> Vec<f64> {
     errors
 }
 
-impl WorldSet {
-    /// Returns the errors of levels in metres, root first. The first call measures them on the threads of the rayon pool.
-    pub fn level_errors_m(&self) -> &[f64] {
-        self.level_errors_m.get_or_init(|| level_errors_m(self))
-    }
-}
-
 const NO_RANGE: [f32; 2] = [f32::INFINITY, f32::NEG_INFINITY];
 
 /// Returns the range of two ranges.
@@ -230,4 +223,11 @@ fn row_error_m(set: &WorldSet, key: TileKey, row: i64, buffers: &mut RowBuffers)
         }
     }
     f64::from(error) + QUANTUM_M
+}
+
+impl WorldSet {
+    /// Returns the errors of levels in metres, root first. The first call measures them on the threads of the rayon pool.
+    pub fn level_errors_m(&self) -> &[f64] {
+        self.level_errors_m.get_or_init(|| level_errors_m(self))
+    }
 }

@@ -17,7 +17,7 @@ use crate::state::{DataVariance, OpaqueDrawData, StateSet};
 use crate::sync::primitives::channel::{Receiver, Sender, TryRecvError};
 use crate::sync::{BlockCount, OperationQueue};
 use crate::trace;
-use crate::viewer::camera::Camera;
+use crate::viewer::Camera;
 
 /// The number of a camera's stages: one for cull, one for draw.
 pub(super) const SCENE_VIEWS: usize = 2;

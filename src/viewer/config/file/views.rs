@@ -161,6 +161,7 @@ mod tests {
     use glam::DMat4;
 
     use super::*;
+    use crate::viewer::ArrangementError;
     use crate::viewer::config::{Arrangement, CameraSetup, ViewsSetup, WindowSetup};
     use crate::viewer::view::viewport::ViewArea;
 

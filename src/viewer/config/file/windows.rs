@@ -239,6 +239,7 @@ mod tests {
     use std::path::Path;
 
     use super::*;
+    use crate::viewer::ArrangementError;
     use crate::viewer::config::Arrangement;
 
     fn read(text: &str) -> Result<Vec<WindowSetup>, ArrangementError> {
