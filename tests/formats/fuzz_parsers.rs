@@ -7,7 +7,7 @@ use std::sync::Arc;
 use kit::compressed::{Triangles, uastc_ktx2};
 use kit::contents::{GLTF_1, b3dm_bytes, cmpt_bytes, glb_1, padded, pnts_bytes, pnts_with_batches};
 use kit::fuzz::Parser;
-use kit::splats::{WrittenSplat, gzip as gzipped, spz_glb, spz_plain};
+use kit::splats::{SPZ_4_DEGREE_1, SPZ_4_DEGREE_4, WrittenSplat, from_hex, gzip as gzipped, spz_glb, spz_plain};
 use kit::subtrees::{Scheme, Subtree};
 use terrane::fetch::{DECODER_PANICKED, FileReader, IoError, Limits};
 use terrane::fetch::{RootScope, is_http, resolve, root_uri};
@@ -554,11 +554,15 @@ fn display_settings() -> Parser {
     })
 }
 
-/// The input is an SPZ file before it is compressed, whose checksum no change would match.
+/// The input is an SPZ file: of version 4, or before it is compressed, since no change would match the checksum.
 fn splats() -> Parser {
     let splat = WrittenSplat { position: [1.0; 3], scale: [0.5; 3], rotation: [0.0, 0.0, 0.6, 0.8], color: [0.5; 4] };
     let seeds = [(2, 0), (3, 1), (3, 3)].map(|(version, degree)| spz_plain(&[splat; 3], version, degree));
-    Parser::new("splats", seeds, |bytes| content(&spz_glb(&gzipped(bytes)), None, Vec::new()))
+    let seeds = seeds.into_iter().chain([SPZ_4_DEGREE_1, SPZ_4_DEGREE_4].map(from_hex));
+    Parser::new("splats", seeds, |bytes| {
+        let file = if bytes.get(4) == Some(&4) { bytes.to_vec() } else { gzipped(bytes) };
+        content(&spz_glb(&file), None, Vec::new());
+    })
 }
 
 kit::parsers! {

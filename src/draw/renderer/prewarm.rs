@@ -57,6 +57,16 @@ impl Renderer {
         self.resources.pipelines.pipeline_thread.end()
     }
 
+    /// Keeps the pipeline thread from creating anything until the returned sender is dropped.
+    #[cfg(test)]
+    pub(crate) fn hold_pipelines(&mut self, ctx: &GraphicsContext) -> crate::sync::primitives::channel::Sender<()> {
+        let (hold, held) = crate::sync::primitives::channel::bounded::<()>(1);
+        let thread = &mut self.resources.pipelines.pipeline_thread;
+        let wait = move |_: &wgpu::Device| held.recv().is_ok();
+        drop(thread.order(ctx.device(), "hold".to_owned(), wait));
+        hold
+    }
+
     /// Does the same as [`Self::prewarm`] for given kinds of stages. Returns the number of pipelines that it created.
     pub(crate) fn prewarm_for(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind], stages: &StageKinds) -> u32 {
         self.announce_textures(ctx, kinds);

@@ -556,3 +556,44 @@ impl DrawSide {
         painter.paint(context.device(), context.queue(), context.color_view(), paint);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::{AdapterChoice, ContextTraits};
+    use crate::scene::{Drawable, Geometry, Material, Mesh, MeshVertex, Node, Page, Scene};
+    use crate::state::{Attribute, StateSet, TextureBinding, TextureObject};
+    use crate::sync::primitives::channel;
+
+    /// Regression: a cancelled page kept the textures of its states until its pipelines were created.
+    #[test]
+    fn cancelled_page_that_waits_for_pipelines_keeps_nothing() {
+        let traits = ContextTraits { size_px: [4, 4], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
+        let context = GraphicsContext::new_offscreen(&traits).unwrap();
+        let ((_commands, commands), (replies, _replied)) = (channel::unbounded(), channel::unbounded());
+        let (compiled, answers) = channel::unbounded();
+        let (stopping, running_compiles) = Default::default();
+        let ends = DrawSideEnds { commands, replies, stopping, running_compiles, compiled };
+        let mut side = DrawSide::new(context, 0, ends, false);
+        let hold = side.renderer.hold_pipelines(&side.context);
+
+        let texture = TextureObject::image("t", [64, 64], vec![9; 64 * 64 * 4]);
+        let before = side.context.bytes_allocated();
+        let set = StateSet::default().with(Attribute::Texture(0, TextureBinding::new(texture.clone())));
+        let corner = |x, y| MeshVertex { position: [x, y, 0.0], ..MeshVertex::default() };
+        let vertices = vec![corner(0.0, 0.0), corner(1.0, 0.0), corner(0.0, 1.0)];
+        let mesh = Mesh { vertices, indices: vec![0, 1, 2].into(), ..Mesh::default() };
+        let drawable = Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default());
+        let node = Node::geode(vec![drawable]).with_state_set(Arc::new(set));
+        let mut page = Page::from_node(node).unwrap();
+        side.execute(DrawCommand::Prewarm(Scene::new().draw_kinds(None, &page).into()));
+        side.execute(DrawCommand::Compile(CompileOperation { ticket: 7, drawables: page.take_drawables() }));
+        drop(page);
+        assert_eq!((side.uploads.len(), side.context.bytes_allocated()), (2, before));
+        side.execute(DrawCommand::CancelCompiles(vec![7]));
+        assert_eq!(answers.try_recv().unwrap().ticket, 7);
+        assert_eq!((side.uploads.len(), side.context.bytes_allocated()), (0, before));
+        assert_eq!(Arc::strong_count(&texture), 1);
+        drop(hold);
+    }
+}

@@ -38,6 +38,8 @@ struct Found {
     harmonics: SplatHarmonics,
     /// The number of splats with invalid values.
     invalid: u64,
+    /// What the source asks for and is not done, in the words of the notes.
+    ignored: Vec<&'static str>,
 }
 
 /// A splat as a source has it.
@@ -56,7 +58,7 @@ impl Found {
     fn new(count: usize, degree: u8, is_linear: bool) -> Self {
         let mut harmonics = SplatHarmonics::new(degree, is_linear);
         harmonics.reserve(count);
-        Self { splats: Vec::with_capacity(count), harmonics, invalid: 0 }
+        Self { splats: Vec::with_capacity(count), harmonics, invalid: 0, ignored: Vec::new() }
     }
 
     /// Adds a splat with its coefficients above degree 0.
@@ -116,10 +118,13 @@ pub(super) fn read(
         (None, Some(_)) => accessors::read(context, buffers, primitive, is_linear)?,
         (None, None) => return Ok(None),
     };
-    let Some(Found { splats, harmonics, invalid }) = found else {
+    let Some(Found { splats, harmonics, invalid, ignored }) = found else {
         context.notes.add(BUFFER_MISSING);
         return Ok(Some(Vec::new()));
     };
+    for kind in ignored {
+        context.notes.add(kind);
+    }
     context.notes.add_count("glTF: Gaussian splat with invalid values", invalid);
     if splats.is_empty() {
         let is_invalid = invalid > 0;
