@@ -1,7 +1,8 @@
-//! The layout of the source: the direction of imports between the folders of `src`, and in all code of the workspace
-//! the number of Rust files per folder and the length of files.
+//! The layout of the source: the direction of imports between the folders of `src`, circles of imports inside folders, and in
+//! all code of the workspace the number of Rust files per folder and the length of files.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -16,6 +17,13 @@ const LEVELS: [&[&str]; 6] = [
     &["viewer"],
 ];
 
+/// Circles of imports between the files and sub-folders of one folder, in all of [`CRATES`]. Those that are left are between
+/// sub-folders that would need traits, or large moves, to be parted.
+const MAX_CIRCLES: usize = 8;
+/// Circles between files alone. Each is two halves of one object, or a type that is in the wrong file.
+const MAX_CIRCLES_OF_FILES: usize = 1;
+/// The sources in which circles are counted.
+const CRATES: [&str; 3] = ["src", "data-gen/src", "tools/src"];
 /// Rust files only: the shaders are one list of programs in one folder.
 const MAX_FILES_PER_FOLDER: usize = 14;
 const MAX_LINES_PER_FILE: usize = 600;
@@ -86,6 +94,48 @@ use crate::trace::F;
     let found: Vec<(usize, String)> = uses(&production_code(text));
     let expected = [(3, "math"), (6, "scene"), (6, "state"), (10, "sync"), (16, "trace")];
     assert_eq!(found, expected.map(|(line, name)| (line, name.to_owned())));
+}
+
+#[test]
+fn imports_run_in_few_circles() {
+    for (of_files, allowed) in [(true, MAX_CIRCLES_OF_FILES), (false, MAX_CIRCLES)] {
+        let found: Vec<String> = CRATES
+            .iter()
+            .flat_map(|folder| {
+                circles(&modules_of(&root().join(folder)), of_files).into_iter().map(move |c| format!("{folder}/{c}"))
+            })
+            .collect();
+        assert!(
+            found.len() <= allowed,
+            "{} circles, at most {allowed} are allowed:\n{}",
+            found.len(),
+            found.join("\n")
+        );
+    }
+}
+
+#[test]
+fn known_circles_are_found() {
+    let circles_of = |files: &[(&str, &str)], of_files: bool| {
+        let path = |file: &str| file.split('/').filter(|part| !part.is_empty()).map(str::to_owned).collect();
+        circles(&files.iter().map(|(file, text)| (path(file), production_code(text))).collect(), of_files)
+    };
+    let files = [
+        ("", "mod a; mod b; pub use b::B;"),
+        ("a", "use crate::B;"),
+        ("b", "use super::c;\nfn f() { super::a::g() }"),
+        ("c", "#[cfg(test)]\nuse crate::a::A;"),
+    ];
+    assert_eq!(circles_of(&files, true), [":\n  a -> b (crate::B)\n  b -> a (super::a::g)"]);
+    let folders = [
+        ("f", ""),
+        ("f/a", "mod inner;\npub use inner::{A, other::{self, O as P}};"),
+        ("f/a/inner", "use crate::f::b;"),
+        ("f/b", "use crate::f::{x::X, a::{P, A}};"),
+        ("f/x", ""),
+    ];
+    assert!(circles_of(&folders, true).is_empty());
+    assert_eq!(circles_of(&folders, false), ["f:\n  a -> b (crate::f::b)\n  b -> a (crate::f::a::A, crate::f::a::P)"]);
 }
 
 fn root() -> &'static Path {
@@ -195,4 +245,141 @@ fn uses(code: &str) -> Vec<(usize, String)> {
     }
     found.retain(|(_, name)| !name.is_empty());
     found
+}
+
+/// The path of a module in its crate.
+type Module = Vec<String>;
+/// The names that a module imports with their paths; other paths in its code have no name.
+type Imports = Vec<(String, Vec<String>)>;
+/// The edges between the modules of a folder, and the paths that make them.
+type Edges<'a> = BTreeMap<[&'a str; 2], BTreeSet<String>>;
+
+/// Returns the production code of each module of a crate.
+fn modules_of(root: &Path) -> BTreeMap<Module, String> {
+    let module_of = |file: &Path| -> Module {
+        let path = file.strip_prefix(root).unwrap().with_extension("");
+        let names = path.iter().map(|name| name.to_str().unwrap().to_owned());
+        names.filter(|name| name != "mod" && name != "lib").collect()
+    };
+    rust_files(root).iter().map(|file| (module_of(file), production_code(&fs::read_to_string(file).unwrap()))).collect()
+}
+
+/// Returns the circles of imports, each as its folder and its edges: between the files of a folder, or between its files and
+/// sub-folders. An import leads to the file that declares the name, through the modules that re-export it.
+fn circles(modules: &BTreeMap<Module, String>, of_files: bool) -> Vec<String> {
+    let imports: BTreeMap<&[String], Imports> =
+        modules.iter().map(|(module, code)| (&module[..], imports(code))).collect();
+    let folders: BTreeSet<&[String]> =
+        modules.keys().filter_map(|module| module.split_last()).map(|(_, up)| up).collect();
+    let mut edges: BTreeMap<&[String], Edges<'_>> = BTreeMap::new();
+    for (from, paths) in &imports {
+        for (_, path) in paths {
+            let Some(to) = declared_in(&imports, from, path, 0) else { continue };
+            let depth = from.iter().zip(to).take_while(|(a, b)| a == b).count();
+            let is_file = |module: &[String]| module.len() == depth + 1 && !folders.contains(module);
+            if depth < from.len().min(to.len()) && (!of_files || is_file(from) && is_file(to)) {
+                let edges = edges.entry(&from[..depth]).or_default();
+                edges.entry([&from[depth], &to[depth]]).or_default().insert(path.join("::"));
+            }
+        }
+    }
+    let mut found = Vec::new();
+    for (folder, edges) in &edges {
+        let mut left: BTreeSet<&str> = edges.keys().flatten().copied().collect();
+        while let Some(first) = left.pop_first() {
+            let there = reached_from(edges, first);
+            let circle: BTreeSet<&str> =
+                there.into_iter().filter(|other| reached_from(edges, other).contains(first)).collect();
+            left.retain(|module| !circle.contains(module));
+            let inside = edges.iter().filter(|(edge, _)| edge.iter().all(|module| circle.contains(module)));
+            let list = |paths: &BTreeSet<String>| paths.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
+            let inside: Vec<String> = inside.map(|([a, b], paths)| format!("{a} -> {b} ({})", list(paths))).collect();
+            found.extend((circle.len() > 1).then(|| format!("{}:\n  {}", folder.join("/"), inside.join("\n  "))));
+        }
+    }
+    found
+}
+
+/// Returns the modules that edges lead to from one, which is one of them.
+fn reached_from<'a>(edges: &Edges<'a>, first: &'a str) -> BTreeSet<&'a str> {
+    let (mut reached, mut next) = (BTreeSet::from([first]), vec![first]);
+    while let Some(module) = next.pop() {
+        next.extend(edges.keys().filter(|[a, b]| *a == module && reached.insert(b)).map(|[_, b]| *b));
+    }
+    reached
+}
+
+/// Returns the module that declares what a path in a module leads to; `None` outside of the crate.
+fn declared_in<'a>(
+    imports: &BTreeMap<&'a [String], Imports>,
+    at: &[String],
+    path: &[String],
+    depth: usize,
+) -> Option<&'a [String]> {
+    const MAX_DEPTH: usize = 8;
+    let supers = path.iter().take_while(|part| *part == "super").count();
+    let (base, rest) = match path.first()?.as_str() {
+        "crate" => (&at[..0], &path[1..]),
+        "self" => (at, &path[1..]),
+        _ => (&at[..at.len().checked_sub(supers)?], &path[supers..]),
+    };
+    let full = [base, rest].concat();
+    let length = (0..=full.len()).rev().find(|length| imports.contains_key(&full[..*length]))?;
+    // A path without such a beginning leads to a child or to another crate.
+    let is_in_crate = length > at.len() || ["crate", "self", "super"].contains(&path[0].as_str());
+    let (module, own) = imports.get_key_value(&full[..length]).filter(|_| is_in_crate && depth < MAX_DEPTH)?;
+    let imported = own.iter().find(|(name, _)| Some(name) == full.get(length));
+    imported.and_then(|(_, path)| declared_in(imports, module, path, depth + 1)).or(Some(module))
+}
+
+/// Returns the imports of a file, and without a name its other paths that begin with `crate`, `self` or `super`.
+fn imports(code: &str) -> Imports {
+    let is_word = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    let (mut found, mut others, mut rest) = (Vec::new(), String::new(), code);
+    while let Some((before, after)) = rest.split_once("use ") {
+        others.push_str(before);
+        rest = after;
+        if !before.ends_with(is_word) {
+            let (tree, after) = after.split_once(';').unwrap_or((after, ""));
+            expand(&[], tree, &mut found);
+            rest = after;
+        }
+    }
+    others.push_str(rest);
+    for start in ["crate::", "self::", "super::"] {
+        for (at, _) in
+            others.match_indices(start).filter(|(at, _)| !others[..*at].ends_with(|c| is_word(c) || c == ':'))
+        {
+            let path = others[at..].split(|c| !is_word(c) && c != ':').next().unwrap();
+            found.push((String::new(), names_of(path)));
+        }
+    }
+    found
+}
+
+fn names_of(path: &str) -> Vec<String> {
+    path.split("::").map(|name| name.trim().to_owned()).filter(|name| !name.is_empty()).collect()
+}
+
+/// Adds the paths of a tree such as `a::{b, c::{self, D as E}}`.
+fn expand(prefix: &[String], tree: &str, found: &mut Imports) {
+    let Some((head, group)) = tree.split_once('{') else {
+        let (path, alias) = tree.split_once(" as ").unwrap_or((tree, ""));
+        let path = [prefix, &names_of(path)].concat();
+        let path = path.strip_suffix(&["self".to_owned()]).filter(|path| !path.is_empty()).unwrap_or(&path).to_vec();
+        let name = if alias.is_empty() { path.last().cloned().unwrap_or_default() } else { alias.trim().to_owned() };
+        return found.extend((!path.is_empty()).then_some((name, path)));
+    };
+    let prefix = [prefix, &names_of(head)].concat();
+    let (mut depth, mut begin) = (0, 0);
+    for (at, c) in group.char_indices() {
+        if depth == 0 && (c == ',' || c == '}') {
+            expand(&prefix, &group[begin..at], found);
+            begin = at + 1;
+        }
+        depth += i32::from(c == '{') - i32::from(c == '}');
+        if depth < 0 {
+            return;
+        }
+    }
 }

@@ -216,9 +216,35 @@ impl GenArgs {
         if self.content != ContentKind::Mesh && self.float_vertices {
             return Err("--float-vertices has no effect without --content mesh".to_owned());
         }
-        self.run.check(self)?;
+        self.check_run()?;
         self.tiles.check(self)?;
         self.output.check(self)
+    }
+
+    /// Checks the options of the run.
+    fn check_run(&self) -> Result<(), String> {
+        let run = &self.run;
+        if run.aligned && self.dem.is_empty() {
+            return Err("--aligned has no effect without --dem".to_owned());
+        }
+        if run.aligned && self.voids != Voids::Cut {
+            return Err(
+                "--aligned leaves out places without elevation; --voids fill and sea are not supported".to_owned()
+            );
+        }
+        if run.update && (self.world.world.is_some() || self.dem.is_empty()) {
+            return Err("--update has no effect without --dem".to_owned());
+        }
+        if run.update && self.sharding != Sharding::default() {
+            return Err("--update does not go with --plan, --shard and --merge".to_owned());
+        }
+        if run.memory.is_some() && self.world.world.is_some() {
+            return Err("--memory has no effect with --world".to_owned());
+        }
+        if run.dry_run.is_some() && self.sharding != Sharding::default() {
+            return Err("--dry-run predicts whole sets; leave out --plan, --shard and --merge".to_owned());
+        }
+        Ok(())
     }
 }
 

@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::UNIX_EPOCH;
 
+use terrane::math::random::fnv1a;
+
 use crate::georeference::files_beside;
-use crate::pyramid::checksum;
 use crate::store::{BlockCache, is_remote, remote_versions};
 use crate::virtual_raster::{MAX_DEPTH, VirtualRaster, is_virtual};
 use crate::{GenArgs, GenError, RunArgs, Sharding};
@@ -20,7 +21,7 @@ pub(crate) fn fingerprint(args: &GenArgs) -> Result<u64, GenError> {
             text.push_str(&source_text(path, args)?);
         }
     }
-    Ok(checksum(text.as_bytes()))
+    Ok(fnv1a(text.as_bytes()))
 }
 
 /// Returns the version, the options that change the bytes of the set, and the states of the grids; not the sources.

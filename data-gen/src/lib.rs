@@ -12,8 +12,6 @@
 //! All cores work (rayon), and the number of threads does not change the bytes that are written. No GPU is used.
 
 mod args;
-#[cfg(feature = "object-store")]
-mod bucket;
 mod color;
 mod elevation;
 mod error;
@@ -22,6 +20,7 @@ mod generate;
 mod georeference;
 mod interrupt;
 mod noise;
+mod opened;
 mod output;
 mod prediction;
 mod progress;
@@ -40,12 +39,12 @@ pub use elevation::{
 };
 pub use error::GenError;
 pub use generate::{Outcome, default_set, execute, predict, run};
-pub use georeference::{Crs, Projection, VerticalDatum, utm_from_geodetic, utm_to_geodetic};
+pub use georeference::{Crs, Extent, Projection, VerticalDatum, utm_from_geodetic, utm_to_geodetic};
 pub use interrupt::exit_on_interrupt;
 pub use output::{ArchiveFormat, OutputArgs, PartialFolder, TextureFormat, TileArgs, Tiling, Triangles};
 pub use prediction::{LevelPrediction, Prediction};
 pub use progress::Progress;
-pub use pyramid::{Extent, TileKey};
+pub use pyramid::TileKey;
 pub use run_args::{PredictionFormat, RunArgs};
 pub use shards::{Shard, Sharding};
 pub use world::{TileStep, World, WorldArgs, WorldPreset, WorldSet, WorldTile};

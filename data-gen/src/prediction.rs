@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::generate::Opened;
+use crate::opened::Opened;
 use crate::output::{Builder, Journal, TerrainSet, spread, tiles_and_bytes};
 use crate::pyramid::{Grid, Layer, Plan, TileKey, tiles_with_data};
 use crate::{GenArgs, GenError, Voids, WorldSet};

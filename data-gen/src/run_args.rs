@@ -2,8 +2,6 @@
 
 use terrane::fetch::AllowedHost;
 
-use crate::{GenArgs, Sharding, Voids};
-
 /// Selects what a run does, and what it may use.
 #[derive(Clone, Debug, Default, PartialEq, clap::Args)]
 pub struct RunArgs {
@@ -31,33 +29,6 @@ pub enum PredictionFormat {
     Table,
     /// JSON.
     Json,
-}
-
-impl RunArgs {
-    /// Checks options that have no effect together, or not with others.
-    pub(crate) fn check(&self, args: &GenArgs) -> Result<(), String> {
-        if self.aligned && args.dem.is_empty() {
-            return Err("--aligned has no effect without --dem".to_owned());
-        }
-        if self.aligned && args.voids != Voids::Cut {
-            return Err(
-                "--aligned leaves out places without elevation; --voids fill and sea are not supported".to_owned()
-            );
-        }
-        if self.update && (args.world.world.is_some() || args.dem.is_empty()) {
-            return Err("--update has no effect without --dem".to_owned());
-        }
-        if self.update && args.sharding != Sharding::default() {
-            return Err("--update does not go with --plan, --shard and --merge".to_owned());
-        }
-        if self.memory.is_some() && args.world.world.is_some() {
-            return Err("--memory has no effect with --world".to_owned());
-        }
-        if self.dry_run.is_some() && args.sharding != Sharding::default() {
-            return Err("--dry-run predicts whole sets; leave out --plan, --shard and --merge".to_owned());
-        }
-        Ok(())
-    }
 }
 
 /// Reads a number of bytes, such as `512M`, `1.5G` or `2GiB`. The units are powers of 1024.

@@ -6,10 +6,11 @@
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
+use terrane::math::random::fnv1a;
 
 use crate::GenError;
 use crate::output::write_whole;
-use crate::pyramid::{TileKey, checksum};
+use crate::pyramid::TileKey;
 
 /// The manifest in a shard's folder.
 pub(crate) const MANIFEST: &str = "shard.json";
@@ -128,7 +129,7 @@ pub(crate) fn write_manifest(folder: &Path, shard: Shard, fingerprint: u64) -> R
     let mut files = Vec::with_capacity(names.len());
     for name in names {
         let bytes = std::fs::read(folder.join(&name)).map_err(GenError::file(folder.join(&name)))?;
-        files.push(json!([name, bytes.len(), format!("{:016x}", checksum(&bytes))]));
+        files.push(json!([name, bytes.len(), format!("{:016x}", fnv1a(&bytes))]));
     }
     let fingerprint = format!("{fingerprint:016x}");
     let manifest =
@@ -234,7 +235,7 @@ pub(crate) fn gather(out: &Path, fingerprint: u64, folder: &Path) -> Result<Vec<
             // A merge that was killed has moved some already.
             let at = if to.is_file() { &to } else { &from };
             let is_right = std::fs::read(at)
-                .is_ok_and(|bytes| bytes.len() as u64 == size && format!("{:016x}", checksum(&bytes)) == hash);
+                .is_ok_and(|bytes| bytes.len() as u64 == size && format!("{:016x}", fnv1a(&bytes)) == hash);
             if !is_right {
                 damaged.push(format!("{name} of {shard}"));
             } else if at == &from {

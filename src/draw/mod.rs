@@ -22,9 +22,11 @@
 //! | `callbacks` | code of the application that runs while a camera is drawn |
 //! | `shaders` | WGSL sources |
 //! | `recorder` | records draws and sets only state that changes |
+//! | `bins` | draws the bins of a stage, and callbacks around them |
 //! | `resources` | the parts that all passes share |
 
 mod batch;
+mod bins;
 mod bound_state;
 mod callbacks;
 mod error_log;
@@ -38,8 +40,8 @@ mod stats;
 mod targets;
 mod uniforms;
 
+pub use bins::{BinCallback, BinDrawing};
 pub use callbacks::attributes::{StateAttribute, state_attribute};
-pub use callbacks::bins::{BinCallback, BinDrawing};
 pub use callbacks::camera::CameraCallbacks;
 pub use callbacks::drawables::{CompiledDrawable, CustomDrawable, DrawableInfo, custom_geometry};
 pub use callbacks::info::{FrameClock, RenderInfo};

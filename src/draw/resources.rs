@@ -3,10 +3,10 @@
 use crate::draw::batch::Batch;
 use crate::draw::batch::indirect::IndirectBuffer;
 use crate::draw::bound_state::BoundStates;
+use crate::draw::callbacks::attribute_groups::AttributeGroups;
 use crate::draw::error_log::ErrorLog;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::stats::DrawStats;
-use crate::draw::uniforms::attribute_groups::AttributeGroups;
 use crate::draw::uniforms::frame_groups::FrameGroups;
 use crate::draw::uniforms::leaf_buffer::LeafBuffer;
 use crate::draw::uniforms::state_groups::StateGroups;

@@ -4,10 +4,9 @@ use std::net::IpAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::markup::printable;
 #[cfg(feature = "http")]
 use super::memory::NoRoom;
-use super::uri::{is_remote, shown};
+use super::uri::{is_remote, printable, shown};
 
 /// The reason why a URI could not be read or decoded. Every variant names the URI. The error text omits the user name, the
 /// password and the query values of a URL, since they may be secrets ([`shown`]).

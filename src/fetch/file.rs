@@ -6,7 +6,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use lru::LruCache;
 
-use super::archive::{LocalArchive, MAX_CACHED_ARCHIVES, MAX_CACHED_DIRECTORY_BYTES, evict_lru, split_path};
+use super::archive::{LocalArchive, MAX_CACHED_ARCHIVES, MAX_CACHED_DIRECTORY_BYTES, evict_lru};
+use super::archive_names::split_path;
 use super::encoding::gunzip;
 use super::error::IoError;
 #[cfg(feature = "testing")]

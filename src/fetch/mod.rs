@@ -5,6 +5,7 @@
 //! reason.
 
 mod archive;
+mod archive_names;
 mod cache;
 pub(crate) mod encoding;
 mod error;
@@ -19,7 +20,6 @@ mod memory;
 #[cfg(feature = "object-store")]
 mod object_store;
 mod panic_guard;
-mod percent;
 mod scope;
 #[cfg(feature = "http")]
 pub mod services;
@@ -31,6 +31,8 @@ mod uri;
 pub use archive::{RemoteFile, RemoteFiles};
 #[cfg(feature = "testing")]
 pub use archive::{fuzz_index, fuzz_packed, fuzz_pmtiles};
+#[cfg(all(feature = "http", feature = "testing"))]
+pub use archive_names::fuzz_url;
 pub use cache::CacheStats;
 #[cfg(all(feature = "http", feature = "testing"))]
 pub use cache::fuzz_cache_entry;
@@ -52,7 +54,6 @@ pub use http::{AllowedHost, Credential, HttpBody, HttpClient, HttpConfig, StoreO
 pub use hung_reads::HungReads;
 pub(crate) use limits::JSON_OBJECT_BYTES;
 pub use limits::Limits;
-pub use markup::printable;
 pub(crate) use memory::{BudgetUse, ByteBudget, LargeContents, LoadRoom, Permit, about_to_allocate, gated};
 #[cfg(feature = "http")]
 pub(crate) use memory::{Claim, NoRoom};
@@ -60,15 +61,13 @@ pub(crate) use memory::{Claim, NoRoom};
 pub use object_store::{ObjectFolder, ObjectHeaders, ObjectList};
 pub use panic_guard::DECODER_PANICKED;
 pub(crate) use panic_guard::guarded;
-pub(crate) use percent::percent_decode;
 pub(crate) use scope::root_uri_within;
 pub use scope::{RootScope, resolve, root_uri};
+pub use source::Fetched;
 pub(crate) use source::{Loaded, Source};
 #[cfg(feature = "http")]
 pub(crate) use time_limit::run_within;
-#[cfg(all(feature = "http", feature = "testing"))]
-pub use uri::fuzz_url;
-pub(crate) use uri::path_of;
 #[cfg(feature = "http")]
 pub(crate) use uri::server;
-pub use uri::{is_http, is_remote, is_store, shown};
+pub use uri::{is_http, is_remote, is_store, printable, shown};
+pub(crate) use uri::{path_of, percent_decode};

@@ -9,14 +9,13 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::archive::{is_archive, is_pmtiles};
+use super::archive_names::{is_archive, is_pmtiles};
 use super::error::IoError;
 #[cfg(feature = "testing")]
 use super::hung_reads::HungReads;
 use super::limits::Limits;
-use super::percent::percent_decode;
 use super::time_limit::run_within;
-use super::uri::{is_http, is_remote, is_store, server};
+use super::uri::{is_http, is_remote, is_store, percent_decode, server};
 
 /// The set of URIs that references in a tile set may lead to.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]

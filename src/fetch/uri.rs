@@ -1,12 +1,9 @@
-//! Text operations on URIs: kind, server, redaction. They parse leniently and never fail.
+//! Text operations on URIs: kind, server, percent encoding, and how they and other text of outside data are printed. They parse
+//! leniently.
 //!
 //! A URI is an absolute file path, an http(s) URL, or `s3://`, `gs://` or `az://` with a bucket and a key.
 
 use std::borrow::Cow;
-
-#[cfg(all(feature = "http", feature = "testing"))]
-use super::archive::split_url;
-use super::markup::printable;
 
 /// Returns true for http and https URLs.
 pub fn is_http(uri: &str) -> bool {
@@ -33,6 +30,15 @@ pub(crate) fn server(uri: &str) -> &str {
     let rest = uri.get(start..).unwrap_or("");
     let end = rest.find(['/', '?', '#']).map_or(uri.len(), |at| start + at);
     uri.get(..end).unwrap_or(uri)
+}
+
+/// Returns a text of outside data for a terminal or a line of a log: control characters, which move the cursor or begin a new
+/// line, become U+FFFD.
+pub fn printable(text: &str) -> Cow<'_, str> {
+    match text.contains(char::is_control) {
+        true => Cow::Owned(text.replace(char::is_control, "\u{fffd}")),
+        false => Cow::Borrowed(text),
+    }
 }
 
 /// Returns a URI for errors, logs and reports. User name, password and query values of a URL are omitted.
@@ -69,25 +75,23 @@ pub(crate) fn path_of(uri: &str) -> &str {
     if is_remote(uri) { uri.split(['?', '#']).next().unwrap_or(uri) } else { uri }
 }
 
-/// Runs the functions of this module on any text and checks their guarantees. Entry point of the fuzz tests.
-#[cfg(all(feature = "http", feature = "testing"))]
-pub fn fuzz_url(uri: &str) {
-    let (shown, split) = (shown(uri), split_url(uri));
-    if !is_remote(uri) {
-        return;
+/// Decodes `%41` and the like (RFC 3986, 2.1). Returns `None` for a broken escape and for bytes that are not UTF-8.
+pub(crate) fn percent_decode(text: &str) -> Option<String> {
+    if !text.contains('%') {
+        return Some(text.to_owned());
     }
-    assert!(uri.starts_with(server(uri)));
-    if let Some((archive, _)) = split {
-        assert_eq!(server(&archive), server(uri));
+    let mut bytes = Vec::with_capacity(text.len());
+    let mut rest = text.bytes();
+    while let Some(b) = rest.next() {
+        if b == b'%' {
+            let high = char::from(rest.next()?).to_digit(16)?;
+            let low = char::from(rest.next()?).to_digit(16)?;
+            bytes.push((high * 16 + low) as u8);
+        } else {
+            bytes.push(b);
+        }
     }
-    // No password and no token may remain in the shown form of a valid URL.
-    if url::Url::parse(uri).is_ok()
-        && let Ok(url) = url::Url::parse(&shown)
-    {
-        assert!(url.username().is_empty() && url.password().is_none(), "{uri:?}: {shown}");
-        let query = url.query().unwrap_or_default();
-        assert!(query.split('&').all(|pair| pair.is_empty() || pair.ends_with("...")), "{uri:?}: {shown}");
-    }
+    String::from_utf8(bytes).ok()
 }
 
 #[cfg(test)]
@@ -123,5 +127,11 @@ mod tests {
         {
             assert_eq!(server(uri) == "http://a:80", is_there, "{uri}");
         }
+    }
+
+    #[test]
+    fn control_characters_are_not_printed() {
+        assert_eq!(printable("a\x1b[2J\nb\u{9b}"), "a\u{fffd}[2J\u{fffd}b\u{fffd}");
+        assert_eq!(printable("naïve ✓ -->"), "naïve ✓ -->");
     }
 }

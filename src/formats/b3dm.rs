@@ -3,9 +3,9 @@
 use glam::DVec3;
 use serde::Deserialize;
 
-use super::feature_table::{self, Global};
 use super::ignored::Notes;
 use super::properties;
+use super::properties::feature_table::{self, Global};
 use crate::fetch::{IoError, Limits};
 use crate::scene::PropertyTable;
 

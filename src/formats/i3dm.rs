@@ -8,11 +8,11 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat3, DVec3};
 use serde::Deserialize;
 
-use super::feature_table::{self, BinaryOffset, Global};
 use super::gltf::{self, GltfSource};
 use super::ignored::Notes;
 use super::options::{Fetched, ReadOptions};
 use super::properties;
+use super::properties::feature_table::{self, BinaryOffset, Global};
 use crate::fetch::{IoError, Limits, resolve};
 use crate::math::Ellipsoid;
 use crate::scene::{Drawable, FeatureIdSet, FeatureIds, Node, NodeKind, PropertyTable};

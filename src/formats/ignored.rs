@@ -8,7 +8,7 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::tileset::Body;
+use super::tile::Body;
 use crate::fetch::{IoError, printable};
 
 /// The maximum number of kinds: names of extensions are outside data. Further kinds count as [`OTHERS`].

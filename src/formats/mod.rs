@@ -9,9 +9,9 @@ mod b3dm;
 mod cmpt;
 mod convert;
 mod database_path;
+mod draping;
 mod embedded;
 mod external_files;
-mod feature_table;
 mod gltf;
 mod height;
 mod i3dm;
@@ -39,19 +39,16 @@ pub use database_path::set_database_path;
 pub use ignored::{Ignored, IgnoredLog};
 pub use image::ImageFiles;
 pub(crate) use image::decode_file as decode_image;
+pub(crate) use options::MAX_DEPENDENCY_ROUNDS;
 pub use options::{Content, ContentReader, Fetched, ReadOptions};
 pub use osg::ReadAhead;
-pub use overlay::{
-    GeoRectangle, MissingImage, OverlayError, OverlaySet, OverlaySource, RasterOverlay, TileVolume, Tiling,
-};
-pub(crate) use read::MAX_DEPENDENCY_ROUNDS;
+pub use overlay::{GeoRectangle, MissingImage, OverlayError, OverlaySet, OverlaySource, RasterOverlay, Tiling};
 #[cfg(feature = "http")]
 pub(crate) use read::has_slow_dependencies;
 pub use read::{companion_fallback, companions, decode, decode_node, decode_noting, dependencies};
 pub use style::{Style, StyleError};
 pub use terrain::{ellipsoid, terrain_extent};
-pub use tile::UpAxis;
-pub use tileset::Body;
+pub use tile::{Body, TileVolume, UpAxis};
 pub use whole_set::{
     BoundsInfo, Info, InfoError, LevelInfo, LevelMeasures, MapFrame, MetadataInfo, ModelInfo, Problem, Spread,
     SurveyEvent, SurveyOptions, SurveyedTile, Verified, inspect, survey, verify,

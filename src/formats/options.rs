@@ -7,12 +7,18 @@ use glam::DAffine3;
 use super::ignored::IgnoredLog;
 use super::image::ImageFiles;
 use super::osg::ReadAhead;
-use super::overlay::{OverlaySet, TileVolume};
+use super::overlay::OverlaySet;
 use super::style::Style;
-use super::tile::UpAxis;
+use super::tile::{TileVolume, UpAxis};
+pub use crate::fetch::Fetched;
 use crate::fetch::{IoError, Limits, RootScope, resolve, shown};
 use crate::math::{Ellipsoid, WGS84};
 use crate::scene::{BlockFormats, Node, ReaderData, SharedStateManager};
+
+/// The maximum number of times that a loader asks for further dependencies of a content: an i3dm refers to a model, and the
+/// model to its buffers.
+/// An overlay may have a document, and a few coarser levels in place of missing images.
+pub(crate) const MAX_DEPENDENCY_ROUNDS: usize = 10;
 
 /// Options that all reads of a tile set share.
 #[derive(Clone, Debug)]
@@ -166,9 +172,6 @@ impl ReadOptions {
         self.readers.iter().find(|reader| reader.accepts(uri, bytes)).map(|reader| &**reader)
     }
 }
-
-/// A URI and its bytes, or the reason why they could not be read.
-pub type Fetched = (Arc<str>, Result<Vec<u8>, IoError>);
 
 /// The bytes of one content and of its companions.
 #[derive(Clone, Debug)]

@@ -8,10 +8,9 @@ use super::ignored::{Ignored, Notes};
 use super::implicit::{SubtreePart, SubtreeSource};
 use super::options::{Content, Fetched, ReadOptions};
 use super::terrain::{self, TerrainPage, TerrainTile};
-use super::tile::{ContentBytes, ContentData, TileContent, node_of};
-use super::tileset::Body;
+use super::tile::{Body, ContentBytes, ContentData, TileContent, node_of};
 use super::{
-    b3dm, cmpt, embedded, gltf, height, i3dm, image, implicit, model_files, osg, overlay, point_cloud, style, tileset,
+    b3dm, cmpt, draping, embedded, gltf, height, i3dm, image, implicit, model_files, osg, point_cloud, style, tileset,
 };
 use crate::fetch::markup::{refuse_markup, text_and_first_byte};
 use crate::fetch::{IoError, encoding, guarded};
@@ -19,10 +18,6 @@ use crate::scene::{Node, Page, ReaderData, ReaderValue};
 
 /// The maximum number of files that one content may refer to.
 const MAX_DEPENDENCIES: usize = 4096;
-/// The maximum number of times that a loader asks for further dependencies of a content: an i3dm refers to a model, and the
-/// model to its buffers.
-/// An overlay may have a document, and a few coarser levels in place of missing images.
-pub const MAX_DEPENDENCY_ROUNDS: usize = 10;
 
 /// Returns the other URIs that a content needs and that are known before it is read: the imagery of a height tile, or the
 /// other contents of a tile and their imagery.
@@ -83,7 +78,7 @@ pub fn dependencies(
     } else {
         model_files::of_model(base, bytes, known, options)
     };
-    let of_overlays = overlay::needed(bytes, reader_data, known, options);
+    let of_overlays = draping::needed(bytes, reader_data, known, options);
     let mut unknown: Vec<Arc<str>> = Vec::new();
     for dependency in needed.into_iter().take(MAX_DEPENDENCIES).chain(of_overlays) {
         if !known.iter().any(|(fetched, _)| *fetched == dependency) && !unknown.contains(&dependency) {
@@ -154,12 +149,17 @@ pub(super) struct Decoded {
 pub(super) fn decode_whole(content: Content, options: &ReadOptions) -> Result<Decoded, IoError> {
     let notes = Notes::default();
     options.credits.iter().for_each(|credit| notes.add_credit(credit));
-    let overlays = overlay::Draping::new(&content, options);
+    let overlays = draping::Draping::new(&content, options);
     let mut node = match &options.style {
         Some(style) => {
             let with_features = ReadOptions { keep_features: true, ..options.clone() };
             let mut node = read_node(content, &with_features, &notes)?;
-            style::apply(&mut node, style, options, &notes);
+            let to = style::Styled {
+                set_from_content: options.set_from_content,
+                keeps_features: options.keep_features,
+                max_elements: options.limits.max_elements,
+            };
+            style::apply(&mut node, style, to, &notes);
             node
         }
         None => read_node(content, options, &notes)?,

@@ -8,7 +8,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::GpuError;
-use super::pools::block_formats;
 use crate::scene::BlockFormats;
 
 /// The device as an allocator. Clones share the device and the limit of tests.
@@ -22,6 +21,15 @@ pub(crate) struct Memory {
     left_bytes: Arc<AtomicU64>,
     /// Bytes that blocks may take before the budget is full. Of the pools' own clone.
     room_bytes: u64,
+}
+
+/// Returns the families of compressed formats of a device.
+pub(super) fn block_formats(features: wgpu::Features) -> BlockFormats {
+    BlockFormats {
+        bc: features.contains(wgpu::Features::TEXTURE_COMPRESSION_BC),
+        etc2: features.contains(wgpu::Features::TEXTURE_COMPRESSION_ETC2),
+        astc: features.contains(wgpu::Features::TEXTURE_COMPRESSION_ASTC),
+    }
 }
 
 impl Memory {

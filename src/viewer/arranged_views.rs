@@ -5,6 +5,7 @@ use super::ViewerError;
 use super::composite::CompositeViewer;
 use super::config::{CameraSetup, ViewCamera, ViewSetup, ViewsSetup, WindowSetup};
 use super::frame::ViewerConfig;
+
 use super::ids::{ContextId, SceneId, ViewId};
 use super::paging::LoadedRoot;
 use super::view::Slave;

@@ -9,14 +9,15 @@ use glam::DVec2;
 use image::RgbaImage;
 
 use super::ViewerError;
-use super::frame::{EnvironmentChanges, FrameLoop, FrameStamp, StatsHistory, ViewList, ViewerConfig};
+use super::clock::FrameStamp;
+use super::frame::{EnvironmentChanges, FrameLoop, StatsHistory, ViewerConfig};
 use super::ids::{ContextId, KeyedList, SceneId, SlaveId, ViewId};
 use super::input::{GuiActionAdapter, changes, needs_frame};
 use super::paging::{LoadedRoot, MAX_SCENES, PagedScene, SceneList, SceneUpdate, free_owner};
 use super::rendering::ThreadingModel;
 use super::view::set_bounds::SetBounds;
 use super::view::viewport::ViewArea;
-use super::view::{Slave, View};
+use super::view::{Slave, View, ViewList};
 
 use crate::formats::OverlaySet;
 use crate::gpu::CompileBudget;

@@ -1,7 +1,18 @@
 //! [`ViewerError`]: the reasons for which a viewer cannot be made or cannot draw a frame.
 
-use super::config::ArrangementError;
 use super::ids::{ContextId, SceneId, ViewId};
+
+/// A window arrangement that is invalid: names the file or variable, the field and the reason.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{source_name}: {field}{}{reason}", if field.is_empty() { "" } else { ": " })]
+pub struct ArrangementError {
+    /// The file or the environment variable.
+    pub source_name: String,
+    /// The path of the field, such as `windows[1].size_px`; empty when the error concerns the whole source.
+    pub field: String,
+    /// Why the value is invalid.
+    pub reason: String,
+}
 
 /// The reason for which a viewer could not be made, changed or drawn.
 #[derive(Debug, thiserror::Error)]

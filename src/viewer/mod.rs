@@ -6,7 +6,7 @@
 //!
 //! | folder | contents |
 //! |---|---|
-//! | `frame/` | the frame loop and its parts: clock, contexts, images read back, statistics, lost devices |
+//! | `frame/` | the frame loop and its parts: contexts, images read back, statistics, lost devices |
 //! | `view/` | [`View`]: camera, lens, viewport, stereo eyes, slaves, picking, the extent of a set |
 //! | `paging/` | joins scenes with their pagers; prefetching; the blocking mode |
 //! | `rendering/` | threading models: who culls and who draws, and what they wait for |
@@ -34,7 +34,9 @@
 //! [`ViewerConfig::max_contexts`] must allow it. Several views in several windows: [`run_views`] with a [`ViewsSetup`].
 
 mod arranged_views;
+mod camera;
 mod camera_path;
+mod clock;
 mod composite;
 mod config;
 mod contexts;
@@ -46,11 +48,13 @@ mod frame;
 pub mod handlers;
 mod ids;
 mod input;
+mod intersections;
 pub mod manipulators;
 mod operations;
 #[cfg(feature = "window")]
 mod overlay;
 mod paging;
+mod present_view;
 mod rendering;
 mod report;
 mod spherical;
@@ -61,26 +65,28 @@ mod viewer;
 mod window;
 
 pub use arranged_views::ArrangedViews;
+pub use camera::{Camera, FieldOfView, ResizePolicy, world_from_eye};
 pub use camera_path::{AnimationPath, ControlPoint, LoopMode, PathError};
+pub use clock::FrameStamp;
 pub use composite::CompositeViewer;
 #[cfg(feature = "window")]
 pub use config::Screen;
 pub use config::{
-    Arrangement, ArrangementError, CONFIG_FILE_VARIABLE, CameraSetup, DisplaySettingError, DisplaySettings,
-    DisplayType, SCREEN_VARIABLE, SceneSetup, ViewCamera, ViewSetup, ViewsSetup, WINDOW_VARIABLE, WindowSetup,
+    Arrangement, CONFIG_FILE_VARIABLE, CameraSetup, DisplaySettingError, DisplaySettings, DisplayType, SCREEN_VARIABLE,
+    SceneSetup, ViewCamera, ViewSetup, ViewsSetup, WINDOW_VARIABLE, WindowSetup,
 };
 #[cfg(feature = "window")]
 pub use display::has_display;
-pub use error::ViewerError;
+pub use error::{ArrangementError, ViewerError};
 pub use events::{
-    Bindings, ButtonMask, EventKind, EventMask, EventQueue, EventSource, GuiEventAdapter, GuiEventHandler, InputState,
-    Key, Modifiers, MouseButton, TouchPhase, Usage, UserEvent, UserEvents, YOrientation,
+    Bindings, ButtonMask, EventKind, EventMask, EventQueue, EventSource, GuiEventAdapter, InputState, Key, Modifiers,
+    MouseButton, TouchPhase, Usage, UserEvent, UserEvents, YOrientation,
 };
-pub use frame::{EnvironmentChanges, FrameStamp, FrameStats, Samples, StatsHistory, ViewerConfig};
+pub use frame::{EnvironmentChanges, FrameStats, Samples, StatsHistory, ViewerConfig};
 pub use ids::{ContextId, SceneId, SlaveId, ViewId};
 pub use input::{
-    GuiActionAdapter, MouseCursor, OnPicture, ViewEvent, ViewUpdate, WindowCommand, WindowMatrix, WindowRay,
-    camera_with_focus, event_callback,
+    GuiActionAdapter, GuiEventHandler, MouseCursor, OnPicture, ViewEvent, ViewUpdate, WindowCommand, WindowMatrix,
+    WindowRay, camera_with_focus, event_callback,
 };
 #[cfg(feature = "window")]
 pub use overlay::{Overlay, OverlayPaint};
@@ -91,7 +97,6 @@ pub use report::{
     Times, coverage,
 };
 pub use spherical::{SphericalDisplay, SphericalProjection};
-pub use view::camera::{Camera, FieldOfView, ResizePolicy, world_from_eye};
 pub use view::set_bounds::{LocalFrame, SetBounds, ViewFrom, environment_for};
 pub use view::viewport::ViewArea;
 pub use view::{Eyes, Slave, View};

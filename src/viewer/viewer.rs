@@ -8,8 +8,9 @@ use glam::DAffine3;
 use image::RgbaImage;
 
 use super::ViewerError;
+use super::clock::FrameStamp;
 use super::composite::CompositeViewer;
-use super::frame::{FrameLoop, FrameStamp, StatsHistory, ViewerConfig};
+use super::frame::{FrameLoop, StatsHistory, ViewerConfig};
 use super::ids::{ContextId, SceneId, SlaveId, ViewId};
 use super::input::{GuiActionAdapter, manipulator_view};
 use super::manipulators::{CameraManipulator, ManipulatorView};

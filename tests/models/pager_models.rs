@@ -2,6 +2,8 @@
 //! answer like those of the pagers. A schedule fails if a wake-up is lost, a thread waits forever, or a job is done
 //! twice.
 
+#[path = "../../src/pager/loading/request.rs"]
+mod request;
 #[path = "../../src/pager/loading/request_list.rs"]
 mod request_list;
 #[path = "../../src/pager/loading/waiting_jobs.rs"]
@@ -30,7 +32,7 @@ mod job {
     use std::sync::Arc;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    use super::request_list::Request;
+    use super::request::Request;
     use super::ticket::Ticket;
 
     #[derive(Clone, Debug)]

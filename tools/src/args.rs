@@ -2,12 +2,11 @@
 
 use std::path::PathBuf;
 
-use clap::{Args as ClapArgs, Parser, Subcommand};
+use clap::{Args as ClapArgs, Parser, Subcommand, ValueEnum};
 use terrane::cull::StereoMode;
 use terrane::fetch::is_remote;
 use terrane::viewer::ThreadingModel;
 
-use crate::info::MapOf;
 use crate::net::{ByteSize, NetArgs};
 use crate::overlays::{OVERLAY_HELP, OverlayArg};
 use crate::values::{
@@ -272,6 +271,20 @@ impl From<ViewArgs> for Box<FlyArgs> {
             ..FlyArgs::default()
         })
     }
+}
+
+/// What the colours of a map mean.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum MapOf {
+    /// The finest level at each place
+    #[default]
+    Levels,
+    /// The error of the finest tile that has one: with --verify the measured one where it is known
+    Error,
+    /// The bytes of the finest tile
+    Bytes,
+    /// The tiles with problems, in red
+    Problems,
 }
 
 #[derive(Clone, Debug, ClapArgs)]

@@ -4,7 +4,7 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::levels::Level;
+use super::levels::{Level, Opened};
 use super::{tiles, virtual_raster};
 use crate::GenError;
 use crate::elevation::png_rows;
@@ -16,26 +16,14 @@ use crate::web_tiles::is_archive;
 /// The bytes of decoded tiles that the reader of a TIFF keeps: those of one block are read once for each channel.
 const TIFF_CACHE_BYTES: usize = 8 << 20;
 
-/// An image whose header was read.
-pub(super) struct Opened {
-    /// The image and the smaller copies that the file has, finest first.
-    pub levels: Vec<Level>,
-    pub placement: Placement,
-}
-
 /// Opens an image file, a folder of web tiles, or an archive of them. `given` is the reference system of files that do not
 /// name their own.
 pub(super) fn open(path: &Path, given: Option<Crs>, cache: &Arc<BlockCache>) -> Result<Opened, GenError> {
     open_at(path, given, cache, 0)
 }
 
-/// Like [`open`], for a file that a virtual raster may name. `depth` is the number of virtual rasters around it.
-pub(super) fn open_at(
-    path: &Path,
-    given: Option<Crs>,
-    cache: &Arc<BlockCache>,
-    depth: usize,
-) -> Result<Opened, GenError> {
+/// Like [`open`], for a file inside of `depth` virtual rasters.
+fn open_at(path: &Path, given: Option<Crs>, cache: &Arc<BlockCache>, depth: usize) -> Result<Opened, GenError> {
     if is_archive(path, cache)? {
         return tiles::open(path, cache);
     }
@@ -52,7 +40,8 @@ pub(super) fn open_at(
         ));
     }
     if is_virtual(path, &first_bytes(path, cache)?) {
-        return virtual_raster::open(path, given, cache, depth);
+        let open = |path: &Path, given| open_at(path, given, cache, depth + 1);
+        return virtual_raster::open(path, given, cache, depth, &open);
     }
     GenError::if_not_regular(path)?;
     // The format is recognised by the content, because extensions may be wrong.

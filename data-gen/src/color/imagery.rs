@@ -6,12 +6,11 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::files::{self, Opened};
-use super::levels::{Level, completed};
-use crate::GenError;
+use super::files;
+use super::levels::{Level, Opened, completed};
 use crate::georeference::{Crs, DatumGrid, Placement};
-use crate::pyramid::Extent;
 use crate::store::{BlockCache, Cursor, is_remote};
+use crate::{Extent, GenError};
 
 /// Offsets to try for a longitude, in radians: imagery of the whole world may span 0 to 360 degrees.
 const TURNS: [f64; 3] = [0.0, TAU, -TAU];

@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::GenError;
+use crate::georeference::Placement;
 use crate::store::{BlockCache, BlockGrid, BlockReader, Cursor, PixelImage, Rect, SpillPart, first_pixel};
 
 /// The side of the blocks of averages.
@@ -17,6 +18,13 @@ pub(super) struct Level {
     pub scale: [f64; 2],
     /// The column and row of the finest level's north-western corner.
     pub origin: [f64; 2],
+}
+
+/// An image whose header was read.
+pub(super) struct Opened {
+    /// The image and the smaller copies that the file has, finest first.
+    pub levels: Vec<Level>,
+    pub placement: Placement,
 }
 
 impl Level {

@@ -6,8 +6,7 @@ use std::sync::Arc;
 
 use image::ImageReader;
 
-use super::files::Opened;
-use super::levels::Level;
+use super::levels::{Level, Opened};
 use crate::GenError;
 use crate::store::{BlockCache, BlockGrid, BlockReader, PixelImage, Rect};
 use crate::web_tiles::{self, TileContent, WebTile, WebTiles, Zoom};

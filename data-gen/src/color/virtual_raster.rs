@@ -5,8 +5,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::files::{Opened, open_at};
-use super::levels::Level;
+use super::levels::{Level, Opened};
 use crate::GenError;
 use crate::georeference::{Crs, Placement};
 use crate::store::{BlockCache, BlockReader, PixelImage, Rect};
@@ -46,8 +45,18 @@ impl BlockReader for Masked {
     }
 }
 
+/// Opens an image file; the reference system is that of a file that names none.
+type OpenFile<'a> = dyn Fn(&Path, Option<Crs>) -> Result<Opened, GenError> + Sync + 'a;
+
 /// Opens a virtual raster of GDAL, which is inside of `depth` others. Its bands are those of its files, in the same order.
-pub(super) fn open(path: &Path, given: Option<Crs>, cache: &Arc<BlockCache>, depth: usize) -> Result<Opened, GenError> {
+/// `open_file` opens one of these.
+pub(super) fn open(
+    path: &Path,
+    given: Option<Crs>,
+    cache: &Arc<BlockCache>,
+    depth: usize,
+    open_file: &OpenFile<'_>,
+) -> Result<Opened, GenError> {
     let bad = |reason: &str| GenError::invalid(path, format!("VRT: {reason}"));
     if depth >= MAX_DEPTH {
         return Err(bad(&format!("more than {MAX_DEPTH} virtual rasters inside of one another, or a loop of them")));
@@ -72,7 +81,7 @@ pub(super) fn open(path: &Path, given: Option<Crs>, cache: &Arc<BlockCache>, dep
         }
         // The file's own georeference does not matter, and it need not have one.
         let crs = given.clone().or(Some(Crs::Geographic));
-        let opened = open_at(&source.path, crs, cache, depth + 1)?;
+        let opened = open_file(&source.path, crs)?;
         let Some(finest) = opened.levels.into_iter().next() else { return Err(bad("a source without an image")) };
         let [from, to] = source.rectangles(finest.image.grid().size, raster.size);
         let nodata: Option<Vec<u8>> = colors.iter().map(|band| byte(band.sources.get(k)?.nodata?)).collect();

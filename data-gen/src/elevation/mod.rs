@@ -16,6 +16,7 @@ mod mosaic;
 mod nearby;
 mod procedural;
 mod raster;
+mod raster_source;
 mod source;
 mod sources;
 mod window;

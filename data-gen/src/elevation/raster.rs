@@ -7,11 +7,9 @@ use std::sync::Arc;
 
 use super::context::{DEFAULT_CACHE_BYTES, SourceContext};
 use super::formats::{self, Opened, RasterOptions};
-use super::source::{ElevationSource, SampleRow, SourceSample};
-use super::window::Window;
+use crate::GenError;
 use crate::georeference::{Placement, ROUNDING};
 use crate::store::{BlockCache, BlockReader, Cursor, PixelImage, Rect, is_remote};
-use crate::{Extent, GenError};
 
 /// Heights above this are taken for missing data, such as the lowest number of a format. Heights in decimetres are below
 /// it.
@@ -305,7 +303,7 @@ impl Raster {
         self.around.is_none() && self.placement.has_straight_axes()
     }
 
-    /// Computes those heights along a row of positions ([`ElevationSource::heights_of_row`]) that are NaN so far, where
+    /// Computes those heights along a row of positions ([`heights_of_row`](super::ElevationSource::heights_of_row)) that are NaN so far, where
     /// `is_wanted` is true for the position.
     pub(super) fn fill_row(
         &self,
@@ -359,49 +357,6 @@ pub(super) fn weighted_m(samples: [f64; 4], weights: [f64; 4]) -> Option<f64> {
         }
     }
     nearest.1.is_finite().then(|| sum / total)
-}
-
-impl ElevationSource for Raster {
-    fn height_m(&self, longitude: f64, latitude: f64) -> Result<Option<f64>, GenError> {
-        match self.locate(longitude, latitude).filter(SamplePosition::is_covered) {
-            Some(position) => self.bilinear_m(&mut self.cursor(), position.nearest_px),
-            None => Ok(None),
-        }
-    }
-
-    fn heights_of_row(&self, longitude: f64, step: f64, latitude: f64, out: &mut [f32]) -> Result<(), GenError> {
-        out.fill(f32::NAN);
-        self.fill_row(&mut self.cursor(), [longitude, step, latitude], out, |_, position| position.is_covered())
-    }
-
-    fn heights_of_grid(&self, longitudes: &[f64], latitudes: &[f64], out: &mut [f32]) -> Result<bool, GenError> {
-        self.lattice_heights(longitudes, latitudes, out)
-    }
-
-    fn sample_rows(
-        &self,
-        extent: &Extent,
-        finds_extrema: bool,
-        call: &mut dyn FnMut(SampleRow<'_>),
-    ) -> Result<bool, GenError> {
-        self.lattice_samples(extent, finds_extrema, call)
-    }
-
-    fn samples_in(&self, extent: &Extent, call: &mut dyn FnMut(SourceSample)) -> Result<(), GenError> {
-        let Some(window) = Window::of(self, extent) else { return Ok(()) };
-        window.samples(
-            extent,
-            |_, _| Ok(None),
-            |sample| {
-                call(sample);
-                Ok(())
-            },
-        )
-    }
-
-    fn may_have_data_in(&self, extent: &Extent) -> bool {
-        Window::of(self, extent).is_some_and(|window| window.may_have_data())
-    }
 }
 
 /// A position relative to the sample centres of a raster.

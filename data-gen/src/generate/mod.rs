@@ -1,16 +1,16 @@
 //! Generates a tile set from its options: checks them, reads the sources, and writes the folder.
 
-mod sources;
+#[cfg(feature = "object-store")]
+mod bucket;
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-pub(crate) use self::sources::{Opened, OpenedTerrain};
-use self::sources::{PROCEDURAL_LEVELS, with_grid, with_terrain};
 use crate::args::{JOBS, MAX_LEVELS, SIZES_M};
 use crate::elevation::expand;
 use crate::fingerprint::fingerprint;
+use crate::opened::{OpenedTerrain, PROCEDURAL_LEVELS, with_grid, with_terrain};
 use crate::output::{
     Builder, Journal, PartialFolder, ROOTS, Written, blocks, finish, is_archive_at, level_errors_m, voids,
 };
@@ -99,7 +99,7 @@ pub fn execute(args: &GenArgs) -> Result<Outcome, GenError> {
 fn complete_shards(args: &GenArgs, count: u32, fingerprint: u64) -> Result<Vec<Shard>, GenError> {
     #[cfg(feature = "object-store")]
     if crate::store::is_remote(&args.out) {
-        return crate::bucket::complete_shards(args, fingerprint);
+        return bucket::complete_shards(args, fingerprint);
     }
     let out = std::path::absolute(&args.out).map_err(GenError::file(&args.out))?;
     Ok(shards::complete(&out, count, fingerprint))
@@ -109,7 +109,7 @@ fn complete_shards(args: &GenArgs, count: u32, fingerprint: u64) -> Result<Vec<S
 pub fn predict(args: &GenArgs) -> Result<Prediction, GenError> {
     #[cfg(feature = "object-store")]
     if crate::store::is_remote(&args.out) {
-        return crate::bucket::predict(args);
+        return bucket::predict(args);
     }
     let args = &expanded(args)?;
     let (out, _) = target(args)?;
@@ -164,7 +164,7 @@ fn thread_pool(args: &GenArgs) -> Result<rayon::ThreadPool, GenError> {
 pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
     #[cfg(feature = "object-store")]
     if crate::store::is_remote(&args.out) {
-        return crate::bucket::run(args);
+        return bucket::run(args);
     }
     let out = std::path::absolute(&args.out).map_err(GenError::file(&args.out))?;
     run_with(args, &LocalSet(out))

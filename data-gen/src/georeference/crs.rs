@@ -6,7 +6,6 @@
 use terrane::math::WGS84;
 
 use super::projection::Projection;
-use super::wkt;
 
 /// Parameters of datums as the crate's definitions name them, and those that PROJ uses: Amersfoort (EPSG:1672 and the newer
 /// EPSG:15934), and Romania's Pulkovo 1942(58) (EPSG:15995, whose rotations have the other sign in the definitions), and
@@ -64,25 +63,6 @@ impl Crs {
             _ if has_other_meridian(code) || WRONG.contains(&code) => None,
             _ => Projection::new(&definition(code)?).ok().map(Self::Projection),
         }
-    }
-
-    /// Reads a code (`2056`, `EPSG:2056`), a definition in PROJ's notation (`+proj=...`) or WKT. The error is the reason.
-    pub fn parse(text: &str) -> Result<Self, String> {
-        let text = text.trim();
-        if text.contains('[') {
-            return wkt::crs(text);
-        }
-        if let Some(code) = text.strip_prefix("+init=epsg:") {
-            return Self::parse(code.split_whitespace().next().unwrap_or_default());
-        }
-        if text.starts_with('+') {
-            return Projection::new(text).map(Self::Projection);
-        }
-        let code = text.strip_prefix("EPSG:").or_else(|| text.strip_prefix("epsg:")).unwrap_or(text);
-        let code =
-            code.parse().map_err(|_| format!("`{text}` is neither an EPSG code nor a definition like +proj=..."))?;
-        Self::from_epsg(code)
-            .ok_or_else(|| format!("EPSG:{code} is not supported; give it in PROJ's notation, +proj=..."))
     }
 
     /// Returns the EPSG codes of the system's unit of length; empty for degrees and for units that are not known.

@@ -3,10 +3,12 @@
 
 mod beside;
 mod crs;
+mod extent;
 mod geo_keys;
 pub(crate) mod geotiff;
 mod grids;
 mod half_float;
+mod notation;
 mod placement;
 mod projection;
 mod tiff_samples;
@@ -16,6 +18,7 @@ mod wkt;
 
 pub(crate) use beside::{Metadata, files_beside};
 pub use crs::{Crs, utm_from_geodetic, utm_to_geodetic};
+pub use extent::Extent;
 pub use grids::VerticalDatum;
 pub(crate) use grids::{DatumGrid, Geoid};
 pub(crate) use placement::{Placement, ROUNDING};

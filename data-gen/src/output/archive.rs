@@ -10,7 +10,7 @@ use flate2::write::DeflateEncoder;
 use md5::{Digest as _, Md5};
 use rayon::prelude::*;
 
-use super::finish::each_folder;
+use super::set_files::each_folder;
 use crate::GenError;
 
 /// The name of the index.

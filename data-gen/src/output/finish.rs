@@ -9,9 +9,9 @@ use rayon::prelude::*;
 
 use super::PartialFolder;
 use super::archive::write_archive;
-use super::journal::{Journal, MANIFEST};
+use super::journal::Journal;
 use super::packed::{self, write_packed_set};
-use super::tile_set::write_whole;
+use super::set_files::{each_folder, write_whole};
 use crate::{ArchiveFormat, GenArgs, GenError};
 
 /// Extensions of files that `--gzip` compresses. Images and EXR are compressed already.
@@ -74,27 +74,6 @@ fn gzip(folder: &Path) -> Result<u64, GenError> {
 /// Returns true for files that `--gzip` compresses.
 pub(crate) fn is_compressible(path: &Path) -> bool {
     path.extension().is_some_and(|extension| GZIP_EXTENSIONS.iter().any(|of| extension == *of))
-}
-
-/// Calls with the files of each folder below one, in the order of their names, but not with the manifest and with those whose names
-/// begin with a dot.
-pub(crate) fn each_folder(
-    folder: &Path,
-    call: &mut dyn FnMut(&[PathBuf]) -> Result<(), GenError>,
-) -> Result<(), GenError> {
-    let (mut files, mut folders) = (Vec::new(), Vec::new());
-    for entry in std::fs::read_dir(folder).map_err(GenError::file(folder))? {
-        let entry = entry.map_err(GenError::file(folder))?;
-        if entry.file_name().to_string_lossy().starts_with('.') || entry.file_name() == *MANIFEST {
-            continue;
-        }
-        let is_folder = entry.file_type().map_err(GenError::file(entry.path()))?.is_dir();
-        if is_folder { folders.push(entry.path()) } else { files.push(entry.path()) }
-    }
-    files.sort();
-    folders.sort();
-    call(&files)?;
-    folders.iter().try_for_each(|folder| each_folder(folder, call))
 }
 
 /// Returns true if an archive is at OUT. Fails for anything else there, and for an archive that shall not be replaced.

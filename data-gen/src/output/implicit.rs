@@ -12,7 +12,7 @@ use lru::LruCache;
 use serde_json::{Value, json};
 
 use super::journal::Journal;
-use super::tile_set::write_whole;
+use super::set_files::write_whole;
 use crate::GenError;
 use crate::pyramid::{Plan, TileKey};
 

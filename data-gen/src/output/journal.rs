@@ -10,19 +10,18 @@ use std::io::{BufReader, ErrorKind, Read as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
+use terrane::math::random::fnv1a;
 use zip::ZipArchive;
 use zip::result::ZipError;
 
 use super::archive::write_archive;
-use super::tile_set::write_whole;
-use crate::pyramid::{Record, TileKey, checksum};
+use super::set_files::{MANIFEST, write_whole};
+use crate::pyramid::{Record, TileKey};
 use crate::{GenError, Shard};
 
 /// The journal's folder inside the folder of the set.
 pub(crate) const JOURNAL: &str = ".terrane-gen-journal";
-/// The file of a complete set that the journal is packed into.
-pub(crate) const MANIFEST: &str = "manifest.zip";
-/// Its name while it is written.
+/// The name of [`MANIFEST`] while it is written.
 const UNFINISHED: &str = ".manifest.unfinished";
 /// The list of complete tiles in the journal.
 const TILES: &str = "tiles";
@@ -220,13 +219,13 @@ pub(crate) trait ListedTile: Sized {
 fn line(key: TileKey, tile: &impl ListedTile) -> String {
     let TileKey { level, x, y } = key;
     let text = format!("{level} {x} {y} {}", tile.text());
-    format!("{text} {:016x}\n", checksum(text.as_bytes()))
+    format!("{text} {:016x}\n", fnv1a(text.as_bytes()))
 }
 
 /// Reads a line; `None` if it is damaged.
 fn parse_line<T: ListedTile>(line: &str) -> Option<(TileKey, T)> {
     let (text, sum) = line.rsplit_once(' ')?;
-    if u64::from_str_radix(sum, 16).ok()? != checksum(text.as_bytes()) {
+    if u64::from_str_radix(sum, 16).ok()? != fnv1a(text.as_bytes()) {
         return None;
     }
     let mut words = text.splitn(4, ' ');

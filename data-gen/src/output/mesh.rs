@@ -1,15 +1,16 @@
 //! Builds mesh content: the triangles of a tile with skirts, in the east-north-up frame at the tile's centre.
 
 use glam::{DAffine3, DMat3, DMat4, DVec3};
-use terrane::formats::writers::{GlbMesh, GlbRoughness, write_compressed_glb, write_glb};
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder as _};
+use terrane::formats::writers::{GlbMesh, GlbNormalMap, GlbRoughness, write_compressed_glb, write_glb};
 use terrane::math::{Geodetic, WGS84};
 
 use super::encoding::Triangles;
-use super::normal_map::normal_map;
 use super::options::Tiling;
 use super::tin::Tin;
-use crate::pyramid::{Block, CELLS, Extent, TileKey};
-use crate::{ContentKind, GenArgs, GenError};
+use crate::pyramid::{Block, CELLS, TileKey};
+use crate::{ContentKind, Extent, GenArgs, GenError};
 
 /// Returns which triangles of a cell have data: the south-eastern and the north-western one. Cells from -1 to 64.
 type HasData<'a> = Box<dyn Fn(i64, i64) -> [bool; 2] + 'a>;
@@ -320,4 +321,30 @@ fn build(tile: &MeshTile<'_>, form: &MeshForm, tin: &Tin, skirt_m: f64, look: Lo
         mesh.optimize_order();
     }
     Ok(mesh)
+}
+
+/// The texels along a side of a normal map: one for each sample.
+const TEXELS: u32 = CELLS as u32 + 1;
+
+/// Returns the map of normals of a tile, without tangents. On failure returns the reason.
+///
+/// The frame of the map is east, north and up, and the mesh has these directions as tangents and normals of its vertices. So it is
+/// the same for all triangles, however steep, and for all ways in which readers derive tangents. Texels lie on samples: neighbours
+/// have the same ones on a common edge.
+///
+/// PNG takes the fewest bytes: a map of the samples of Kilauea 4.3 kB, as WebP without loss 5.1 kB. JPEG would show its blocks.
+fn normal_map(lattice: &Lattice) -> Result<GlbNormalMap, String> {
+    let last = CELLS as i64;
+    let mut texels = Vec::with_capacity(3 * (TEXELS * TEXELS) as usize);
+    for (j, i) in (0..=last).rev().flat_map(|j| (0..=last).map(move |i| (j, i))) {
+        let normal = lattice.normal(i, j);
+        texels.extend(lattice.frame(i, j).map(|axis| ((0.5 + 0.5 * normal.dot(axis)) * 255.0).round() as u8));
+    }
+    let mut image = Vec::new();
+    PngEncoder::new_with_quality(&mut image, CompressionType::Default, FilterType::Paeth)
+        .write_image(&texels, TEXELS, TEXELS, ExtendedColorType::Rgb8)
+        .map_err(|e| e.to_string())?;
+    // The texture coordinates of a tile reach from the centres of the outermost texels to each other.
+    let texel = 1.0 / TEXELS as f32;
+    Ok(GlbNormalMap { image, tangents: Vec::new(), uv_scale: [1.0 - texel; 2], uv_offset: [0.5 * texel; 2] })
 }

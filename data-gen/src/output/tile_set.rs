@@ -12,6 +12,7 @@ use zstd::bulk::Compressor;
 use super::encoding::Triangles;
 use super::mesh::{Look, MeshForm, MeshTile};
 use super::packed::{BlockFile, Kind};
+use super::set_files::write_whole;
 use super::tin::Tin;
 use crate::args::{Color, ContentKind, GenArgs};
 use crate::color::{Painter, TEXELS};
@@ -192,16 +193,6 @@ pub(crate) fn compress(bytes: &[u8]) -> std::io::Result<Vec<u8>> {
         };
         compressor.compress(bytes)
     })
-}
-
-/// Writes a file under another name and renames it, so that a killed run leaves no part of a file under its name. Returns the
-/// number of bytes.
-pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<u64, GenError> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let unfinished = path.with_file_name(format!(".{name}.unfinished"));
-    std::fs::write(&unfinished, bytes).map_err(GenError::file(path))?;
-    std::fs::rename(&unfinished, path).map_err(GenError::file(path))?;
-    Ok(bytes.len() as u64)
 }
 
 /// Returns the form of a tile's content. Heights cannot leave out a part of a tile, so that tiles on the border of the data

@@ -12,9 +12,10 @@ use super::implicit::{Entry, SUBTREE_LEVELS, SUBTREES, tile_class};
 use super::mesh;
 use super::options::Tiling;
 use super::tile_set::{form, skirt_m};
+use crate::Extent;
 use crate::args::{Color, ContentKind, GenArgs, Voids};
 use crate::georeference::ROUNDING;
-use crate::pyramid::{Below, Block, CELLS, Coverage, Extent, QUANTUM_M, Record, TileKey, Totals};
+use crate::pyramid::{Below, Block, CELLS, Coverage, QUANTUM_M, Record, TileKey, Totals};
 
 /// Describes the tiles of a block.
 pub(crate) struct Tree<'a> {

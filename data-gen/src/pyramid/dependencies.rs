@@ -1,6 +1,7 @@
 //! Records the inputs of a block beside the samples of its own part: `--update` keeps a block if none of them has changed.
 
 use super::grid::Grid;
+use super::samples::HeightAt;
 use crate::GenError;
 
 /// Lists the inputs of a block beyond its rectangle.
@@ -12,14 +13,6 @@ pub(crate) struct Dependencies {
     pub vertices: Vec<HeightAt>,
     /// Heights that stand for boxes of vertices without data; `at` is the column and row of a box.
     pub gaps: Vec<HeightAt>,
-}
-
-/// A height in metres at a column and row of the lattice of a depth.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct HeightAt {
-    pub depth: u32,
-    pub at: [i64; 2],
-    pub height_m: f32,
 }
 
 impl Dependencies {

@@ -8,27 +8,13 @@ use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use rayon::prelude::*;
+use terrane::math::random::fnv1a;
 
-use super::dependencies::HeightAt;
 use super::extrema::{Extrema, Extremum, parts};
 use super::fill::{self, BOX, BoxMeans};
-use super::record::checksum;
-use super::samples::{Samples, Window};
+use super::samples::{HeightAt, Samples, Window};
 use super::tile::{CELLS, TileKey};
-use crate::{ElevationSource, GenError, SampleRow, Voids};
-
-/// A rectangle of longitude and latitude in radians.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Extent {
-    /// Western edge.
-    pub west: f64,
-    /// Southern edge.
-    pub south: f64,
-    /// Eastern edge.
-    pub east: f64,
-    /// Northern edge.
-    pub north: f64,
-}
+use crate::{ElevationSource, Extent, GenError, SampleRow, Voids};
 
 /// Heights are rounded to 1/128 m by default, so that a shared sample has the same bits in every tile and level.
 pub const QUANTUM_M: f64 = 1.0 / 128.0;
@@ -195,7 +181,7 @@ impl<'a> Grid<'a> {
     pub fn may_have_data_in_tile(&self, key: TileKey) -> bool {
         let side = CELLS as i64;
         let first = [key.x, key.y].map(|c| i64::from(c) * side);
-        self.may_have_data_in(key.depth(self), &Window { first, last: first.map(|c| c + side) })
+        self.may_have_data_in(key.depth(self.levels), &Window { first, last: first.map(|c| c + side) })
     }
 
     /// Computes the heights in a window of the lattice of a depth. NaN marks vertices without data, also if they shall be sea.
@@ -450,7 +436,7 @@ impl<'a> Grid<'a> {
     /// Returns a checksum of the heights that wide gaps continue.
     pub fn gaps_checksum(&self) -> Result<u64, GenError> {
         let bytes: Vec<u8> = self.coarse_filled()?.iter().flat_map(|h| h.to_bits().to_le_bytes()).collect();
-        Ok(checksum(&bytes))
+        Ok(fnv1a(&bytes))
     }
 
     fn coarse_at(&self, coarse: &[f32], depth: u32, at: [f64; 2]) -> f64 {

@@ -13,10 +13,9 @@ mod tile;
 
 pub(crate) use block::{Below, Block, distance_to_finer_m};
 pub(crate) use fill::BOX;
-pub use grid::Extent;
 pub(crate) use grid::{ALIGNED, Grid, QUANTUM_M};
 pub(crate) use plan::{Layer, Plan, tiles_with_data};
-pub(crate) use record::{Record, Totals, checksum};
+pub(crate) use record::{Record, Totals};
 pub(crate) use samples::{Samples, Window};
 pub(crate) use surface::{Lattice, Surface};
 pub use tile::TileKey;

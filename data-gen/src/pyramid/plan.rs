@@ -3,8 +3,9 @@
 //! The finest levels form the first layer of blocks, the next coarser ones the second, and so on up to the root. Blocks of a layer
 //! are made before those of the next, which are made of what they recorded.
 
-use super::grid::{ALIGNED, Extent};
+use super::grid::ALIGNED;
 use super::tile::{CELLS, TileKey};
+use crate::Extent;
 
 /// Levels of a block. A block of the finest layer has 1024 x 1024 cells.
 const BLOCK_LEVELS: u32 = 5;

@@ -3,8 +3,10 @@
 //!
 //! A record is a file of the run's journal. Integers and floats are little-endian; a checksum is at the end.
 
-use super::dependencies::{Dependencies, HeightAt};
-use super::samples::{Samples, Window};
+use terrane::math::random::fnv1a;
+
+use super::dependencies::Dependencies;
+use super::samples::{HeightAt, Samples, Window};
 use super::tile::{Coverage, TileFacts};
 
 const MAGIC: &[u8; 8] = b"terrblk2";
@@ -107,7 +109,7 @@ impl Record {
         out.u64(self.dependencies.reach as u64);
         out.heights(&self.dependencies.vertices);
         out.heights(&self.dependencies.gaps);
-        let sum = checksum(&out.0);
+        let sum = fnv1a(&out.0);
         out.u64(sum);
         out.0
     }
@@ -116,7 +118,7 @@ impl Record {
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let (content, sum) = bytes.split_at_checked(bytes.len().checked_sub(8)?)?;
         let mut input = Reader(content.strip_prefix(MAGIC)?);
-        if checksum(content) != u64::from_le_bytes(sum.try_into().ok()?) {
+        if fnv1a(content) != u64::from_le_bytes(sum.try_into().ok()?) {
             return None;
         }
         let error_m = input.f64()?;
@@ -157,11 +159,6 @@ impl Record {
             dependencies,
         })
     }
-}
-
-/// Returns the 64-bit FNV-1a hash of bytes.
-pub(crate) fn checksum(bytes: &[u8]) -> u64 {
-    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3))
 }
 
 struct Writer(Vec<u8>);

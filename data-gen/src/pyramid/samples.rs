@@ -42,6 +42,14 @@ impl Window {
     }
 }
 
+/// A height in metres at a column and row of the lattice of a depth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct HeightAt {
+    pub depth: u32,
+    pub at: [i64; 2],
+    pub height_m: f32,
+}
+
 /// Heights in metres at the vertices of a window, rows from south to north, each from west to east. NaN marks vertices
 /// without data.
 #[derive(Clone, Debug, PartialEq)]

@@ -6,12 +6,12 @@ use glam::DVec3;
 use terrane::math::{Geodetic, WGS84};
 
 use super::block::Block;
-use super::grid::{Extent, Grid};
+use super::grid::Grid;
 use super::plan::{Layer, Plan, tiles_with_data};
 use super::record::Record;
 use super::samples::Window;
 use super::tile::{CELLS, Coverage, TileFacts, TileKey};
-use crate::{ElevationSource, GenError, Procedural, SourceSample, Voids};
+use crate::{ElevationSource, Extent, GenError, Procedural, SourceSample, Voids};
 
 /// The tiles of a set: their facts, heights with a border, which triangles have data, and colours' heights.
 type Tiles = HashMap<TileKey, (TileFacts, Vec<u32>, Vec<[bool; 2]>, Vec<u32>)>;
@@ -245,7 +245,7 @@ fn shared_vertices_have_equal_bits() {
 
 /// Returns the largest distance between a tile's triangles, flat in space, and the finest samples, in metres.
 fn farthest_m(grid: &Grid<'_>, key: TileKey) -> f64 {
-    let s = 1i64 << key.depth(grid);
+    let s = 1i64 << key.depth(grid.levels);
     let side = CELLS as i64 * s;
     let (first, e) = ([key.x, key.y].map(|t| i64::from(t) * side), grid.extent);
     let heights = grid.sample(0, Window::around(first, side, 0, grid.cells(0))).unwrap();

@@ -1,6 +1,6 @@
 //! Tiles of the quadtree: their keys and what is known of each.
 
-use super::grid::{Extent, Grid};
+use crate::Extent;
 
 /// The number of cells along a tile's side.
 pub const CELLS: usize = 64;
@@ -44,9 +44,9 @@ impl TileKey {
         Extent { west: lon(x), south: lat(y), east: lon(x + 1.0), north: lat(y + 1.0) }
     }
 
-    /// Returns the depth of the lattice of the tile's vertices.
-    pub(crate) fn depth(self, grid: &Grid<'_>) -> u32 {
-        grid.levels - 1 - self.level
+    /// Returns the depth of the lattice of the tile's vertices in a set with a number of levels.
+    pub(crate) fn depth(self, levels: u32) -> u32 {
+        levels - 1 - self.level
     }
 }
 

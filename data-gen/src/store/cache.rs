@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use lru::LruCache;
 use terrane::fetch::AllowedHost;
 
-use super::remote::Servers;
+use super::servers::Servers;
 use super::spill::SpillFile;
 use crate::GenError;
 

@@ -15,12 +15,16 @@ mod file_state;
 mod image;
 mod pool;
 mod remote;
+mod servers;
 mod spill;
+mod whole;
 
 pub(crate) use beside::{text_of, with_extension, with_more};
 pub(crate) use cache::BlockCache;
 pub(crate) use file_state::FileState;
 pub(crate) use image::{BlockGrid, BlockReader, Cursor, PixelImage, Rect};
 pub(crate) use pool::Pool;
-pub(crate) use remote::{RemoteBytes, first_bytes, is_remote, remote_versions};
-pub(crate) use spill::{SpillPart, WholeReader, first_pixel, whole};
+pub(crate) use remote::{RemoteBytes, first_bytes, is_remote};
+pub(crate) use servers::remote_versions;
+pub(crate) use spill::SpillPart;
+pub(crate) use whole::{WholeReader, first_pixel, whole};

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::OldSet;
 use crate::color::Imagery;
 use crate::fingerprint::{options_text, source_text};
-use crate::generate::{Opened, OpenedTerrain};
+use crate::opened::{Opened, OpenedTerrain};
 use crate::output::Journal;
 use crate::{Color, Extent, GenArgs, GenError};
 

@@ -21,7 +21,7 @@ use self::manifest::changes;
 pub(crate) use self::old_set::{LocalSet, OldSet};
 pub(crate) use self::terrain::TerrainUpdate;
 use crate::color::TEXELS;
-use crate::generate::Opened;
+use crate::opened::Opened;
 use crate::output::{Journal, blocks};
 use crate::pyramid::{Block, CELLS, Layer, Record, TileKey, Window};
 use crate::{Color, Extent, GenArgs, GenError};

@@ -11,8 +11,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::manifest::{Manifest, TerrainPlace, changes};
 use super::{OldSet, elevation_margin, is_near_any};
-use crate::generate::OpenedTerrain;
 use crate::georeference::ROUNDING;
+use crate::opened::OpenedTerrain;
 use crate::output::{CompleteTile, Inputs, METADATA_LEVELS};
 use crate::pyramid::TileKey;
 use crate::{Extent, GenArgs, GenError};

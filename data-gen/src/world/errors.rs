@@ -47,7 +47,7 @@ struct Measure {
 }
 
 /// Returns the errors of a set's levels in metres, root first.
-pub(super) fn level_errors_m(set: &WorldSet) -> Vec<f64> {
+fn level_errors_m(set: &WorldSet) -> Vec<f64> {
     let levels = set.levels();
     let measures: Vec<Measure> = (0..levels).into_par_iter().map(|level| measure(set, level)).collect();
     let valley_m = VALLEY_MARGIN * valley_m(set);
@@ -223,4 +223,11 @@ fn row_error_m(set: &WorldSet, key: TileKey, row: i64, buffers: &mut RowBuffers)
         }
     }
     f64::from(error) + QUANTUM_M
+}
+
+impl WorldSet {
+    /// Returns the errors of levels in metres, root first. The first call measures them on the threads of the rayon pool.
+    pub fn level_errors_m(&self) -> &[f64] {
+        self.level_errors_m.get_or_init(|| level_errors_m(self))
+    }
 }

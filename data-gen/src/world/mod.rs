@@ -21,6 +21,7 @@ mod relief;
 mod scatter;
 mod source;
 mod surface;
+mod tile_form;
 mod tiles;
 mod tileset;
 mod write;

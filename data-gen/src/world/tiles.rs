@@ -5,12 +5,11 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 
 use terrane::formats::writers::{write_height_exr, write_packed_heights};
 
-use super::errors::level_errors_m;
-use super::form::{MeshMeasures, TileForm, range_m, roughness};
 use super::planet::{RowBuffers, World};
 use super::points::{RADIUS_M, meridians, sin_cos};
 use super::scatter::{MAX_CELL_M, Scatter, TALLEST_M};
 use super::surface::{Lattice, Patch, TEXELS_PER_CELL};
+use super::tile_form::{MeshMeasures, TileForm, range_m, roughness};
 use crate::output::{Look, compress};
 use crate::pyramid::{CELLS, QUANTUM_M};
 use crate::{Extent, GenArgs, GenError, TileKey};
@@ -23,7 +22,7 @@ pub struct WorldSet {
     levels: u32,
     has_scatter: bool,
     pub(super) form: TileForm,
-    level_errors_m: OnceLock<Vec<f64>>,
+    pub(super) level_errors_m: OnceLock<Vec<f64>>,
     /// Buffers of the threads that make tiles. Neighbouring tiles have rivers in common, which the buffers keep.
     buffers: Mutex<Vec<RowBuffers>>,
 }
@@ -165,11 +164,6 @@ impl WorldSet {
     /// Returns the number of levels.
     pub fn levels(&self) -> u32 {
         self.levels
-    }
-
-    /// Returns the errors of levels in metres, root first. The first call measures them on the threads of the rayon pool.
-    pub fn level_errors_m(&self) -> &[f64] {
-        self.level_errors_m.get_or_init(|| level_errors_m(self))
     }
 
     /// Returns true if the set has a tile.

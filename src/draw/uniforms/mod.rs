@@ -8,7 +8,6 @@
 //! | 3 | vertices and indices of pulled meshes | [`vertex_pulling`] |
 
 pub(in crate::draw) mod air;
-pub(in crate::draw) mod attribute_groups;
 pub(in crate::draw) mod fixed;
 pub(in crate::draw) mod frame;
 pub(in crate::draw) mod frame_groups;

@@ -8,7 +8,6 @@
 
 mod local;
 mod lru;
-mod names;
 mod packed;
 mod pmtiles;
 #[cfg(feature = "http")]
@@ -18,9 +17,6 @@ mod zip;
 
 pub(crate) use local::LocalArchive;
 pub(crate) use lru::{MAX_CACHED_ARCHIVES, MAX_CACHED_DIRECTORY_BYTES, evict_lru};
-pub(crate) use names::{is_archive, is_pmtiles, split_path};
-#[cfg(feature = "http")]
-pub(crate) use names::{is_packed, split_url};
 #[cfg(feature = "testing")]
 pub use packed::fuzz_packed;
 #[cfg(feature = "testing")]

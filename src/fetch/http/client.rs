@@ -15,7 +15,8 @@ use super::revalidation;
 use super::transport::Transport;
 #[cfg(feature = "testing")]
 use crate::fetch::archive::parse_content_range;
-use crate::fetch::archive::{MemberUri, RemoteArchives, split_url};
+use crate::fetch::archive::{MemberUri, RemoteArchives};
+use crate::fetch::archive_names::split_url;
 #[cfg(feature = "testing")]
 use crate::fetch::cache::Freshness;
 use crate::fetch::{CacheConfig, DiskCache, IoError, Limits, Permit, RootScope, run_within};

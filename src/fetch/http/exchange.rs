@@ -17,6 +17,7 @@ use reqwest::header::{
 use url::Url;
 
 use super::config::HttpConfig;
+use super::error_chain::error_chain_without_url;
 use super::hosts::{Connections, RefusedAddress, refused as host_refused};
 use super::retry_policy::{Pause, Pauses, retry_after};
 use crate::fetch::cache::Freshness;
@@ -375,21 +376,4 @@ fn cause<E: std::error::Error + 'static>(error: &reqwest::Error) -> Option<&E> {
         };
     }
     None
-}
-
-/// Formats an error with its causes in one line, without the URL, which may contain a token.
-pub(super) fn error_chain_without_url(error: reqwest::Error) -> String {
-    error_chain(&error.without_url())
-}
-
-/// Formats an error with its causes in one line.
-pub(in crate::fetch) fn error_chain(error: &dyn std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut source = error.source();
-    while let Some(e) = source {
-        text.push_str(": ");
-        text.push_str(&e.to_string());
-        source = e.source();
-    }
-    text
 }

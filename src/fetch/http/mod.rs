@@ -15,6 +15,7 @@ mod cache_access;
 mod client;
 mod config;
 mod cookies;
+mod error_chain;
 mod exchange;
 mod flights;
 mod hosts;
@@ -31,11 +32,13 @@ pub use client::HttpClient;
 #[cfg(feature = "testing")]
 pub use client::fuzz_headers;
 pub(crate) use client::{BlockingHttpClient, runtime};
-pub use config::{Credential, HttpConfig, StoreOption};
+pub(in crate::fetch) use config::ExpiringToken;
+pub use config::{AllowedHost, Credential, HttpConfig, StoreOption};
+#[cfg(feature = "object-store")]
+pub(in crate::fetch) use error_chain::error_chain;
 pub(in crate::fetch) use exchange::Answer;
 #[cfg(feature = "object-store")]
-pub(in crate::fetch) use exchange::{Exchange, Progress, error_chain};
-pub use hosts::AllowedHost;
+pub(in crate::fetch) use exchange::{Exchange, Progress};
 #[cfg(feature = "object-store")]
 pub(in crate::fetch) use hosts::Connections;
 pub(in crate::fetch) use shared_read::SharedRead;

@@ -20,7 +20,7 @@ use tokio::task::JoinSet;
 
 use super::config;
 use crate::fetch::http::{Connections, error_chain, runtime};
-use crate::fetch::percent::percent_decode;
+use crate::fetch::percent_decode;
 use crate::fetch::{HttpClient, HttpConfig, IoError, StoreOption, is_store, server};
 
 /// Larger files are written in parts of at least this size.

@@ -20,7 +20,7 @@ use url::Url;
 
 use super::config;
 use crate::fetch::http::{Answer, Connections, Exchange, Progress, error_chain};
-use crate::fetch::percent::percent_decode;
+use crate::fetch::percent_decode;
 use crate::fetch::{HttpConfig, IoError, Limits, Permit, server};
 
 /// The maximum number of buckets whose stores are cached.

@@ -8,8 +8,8 @@ use std::sync::Arc;
 use serde_json::Value;
 use url::Url;
 
-use super::{ExpiringToken, ServiceKind, ServiceSource};
-use crate::fetch::http::BlockingHttpClient;
+use super::{ServiceKind, ServiceSource};
+use crate::fetch::http::{BlockingHttpClient, ExpiringToken};
 use crate::fetch::markup::plain_text;
 use crate::fetch::{Credential, HttpConfig, IoError, Limits, RootScope, shown};
 

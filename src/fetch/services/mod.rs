@@ -3,13 +3,11 @@
 
 mod google;
 mod ion;
-mod token;
 
 pub use google::{GOOGLE_SERVER, google_tiles};
 #[cfg(feature = "testing")]
 pub use ion::fuzz_ion_endpoint;
 pub use ion::{ION_SERVER, IonAsset};
-pub(in crate::fetch) use token::ExpiringToken;
 
 use super::Credential;
 

@@ -13,7 +13,7 @@ use crate::formats::image::ImageFiles;
 use crate::formats::options::{Content, ReadOptions};
 use crate::formats::read::decode_whole;
 use crate::formats::terrain::TerrainPage;
-use crate::formats::tileset::Body;
+use crate::formats::tile::Body;
 use crate::formats::whole_set::{load, read_companions};
 use crate::formats::writers::{Leaf, Model, write_model};
 use crate::math::Aabb;

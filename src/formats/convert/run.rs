@@ -16,7 +16,7 @@ use super::written::levels_of;
 use crate::fetch::{Source, root_uri_within};
 use crate::formats::ignored::{Ignored, Notes};
 use crate::formats::options::ReadOptions;
-use crate::formats::tileset::Body;
+use crate::formats::tile::Body;
 use crate::formats::whole_set::{is_on_body, overlaps};
 use crate::math::{Aabb, BoundingVolume, Ellipsoid, Region, max_scale};
 

@@ -9,7 +9,7 @@ use basisu::fastenc::bc7f;
 use basisu::uastc::bc4::encode_bc4;
 use basisu::{Error, Transcoder};
 
-use super::ktx2::{MAGIC, transcode};
+use super::transcode::{MAGIC, transcode};
 use crate::scene::TexelFormat;
 
 /// Texels along a side of a block.

@@ -1,7 +1,7 @@
 //! DDS files (DirectDraw Surface) with DXT blocks or 8 bits a channel: the first level of a plain image.
 
 use super::block_decoder::{BlockKind, decode_blocks};
-use super::decode::check_size;
+use super::size::check_size;
 use crate::fetch::{IoError, Limits};
 
 /// The first bytes of a DDS file.

@@ -9,8 +9,10 @@ use super::dds;
 use super::ktx2::{self, Levels};
 use super::mips::mips;
 use super::rgba::decode_rgb;
+use super::size::{check_area, check_size};
+use super::transcode::MAGIC as KTX2_MAGIC;
 use crate::fetch::markup::refuse_markup;
-use crate::fetch::{IoError, Limits, about_to_allocate, guarded};
+use crate::fetch::{IoError, Limits, guarded};
 use crate::formats::ignored::Notes;
 use crate::formats::options::ReadOptions;
 use crate::scene::{BlockFormats, ContentKey, Sampling, SharedContent, TexelFormat, Texture};
@@ -31,7 +33,7 @@ impl FileFormat {
             Some(Self::Raster(ImageFormat::Jpeg))
         } else if bytes.starts_with(b"RIFF") && bytes.get(8..12) == Some(b"WEBP") {
             Some(Self::Raster(ImageFormat::WebP))
-        } else if bytes.starts_with(ktx2::MAGIC) {
+        } else if bytes.starts_with(KTX2_MAGIC) {
             Some(Self::Ktx2)
         } else if dds::is_dds(bytes) {
             Some(Self::Dds)
@@ -135,25 +137,6 @@ fn texture_of(all: Levels, format: TexelFormat, sampling: Sampling, limits: &Lim
     let kept = if sampling.mip.is_some() { usize::MAX } else { 1 };
     let mips = levels.into_iter().skip(skipped).take(kept).collect();
     Arc::new(Texture { width: side(width), height: side(height), format, mips, sampling })
-}
-
-/// Checks the size of an image before its pixels are decoded, and counts the memory of its texels.
-pub(in crate::formats) fn check_size(uri: &str, width: u32, height: u32, limits: &Limits) -> Result<(), IoError> {
-    check_area(uri, width, height, limits)?;
-    // All levels together have a third more than the first.
-    about_to_allocate(u64::from(width) * u64::from(height) * 4 / 3 * 4);
-    Ok(())
-}
-
-fn check_area(uri: &str, width: u32, height: u32, limits: &Limits) -> Result<(), IoError> {
-    if width == 0 || height == 0 {
-        return Err(IoError::invalid(uri, format!("image of {width} x {height} pixels")));
-    }
-    let (got, limit) = ((u64::from(width) * u64::from(height)).saturating_mul(4), limits.max_image_bytes);
-    if got > limit {
-        return Err(IoError::TooLarge { uri: uri.to_owned(), what: "image", got, limit });
-    }
-    Ok(())
 }
 
 /// Decodes a PNG, JPEG or WebP and builds its mip levels.

@@ -3,32 +3,14 @@
 //! They are transcoded to a compressed format that the adapter samples, or to RGBA8. The header is checked before the
 //! transcoder sees it: it allocates what the header says.
 
-use basisu::{DecodeFlags, Error, TargetFormat, Transcoder};
+use basisu::{TargetFormat, Transcoder};
 
 use super::block_encoder;
-use super::decode::check_size;
 use super::mips::mips;
+use super::size::check_size;
+use super::transcode::transcode;
 use crate::fetch::{IoError, Limits};
 use crate::scene::{BlockFormats, TexelFormat};
-
-/// The first bytes of a KTX2 file.
-pub(super) const MAGIC: &[u8] = b"\xabKTX 20\xbb\r\n\x1a\n";
-
-/// Transcodes a level. wgpu has no BC1 without alpha, so blocks of three colours, whose fourth value is transparent, are
-/// forbidden.
-pub(super) fn transcode(transcoder: &Transcoder<'_>, level: u32, format: TexelFormat) -> Result<Vec<u8>, Error> {
-    let target = match format {
-        TexelFormat::Rgba8 => TargetFormat::Rgba32,
-        TexelFormat::Bc1 => TargetFormat::Bc1Rgb,
-        TexelFormat::Bc3 => TargetFormat::Bc3Rgba,
-        TexelFormat::Bc7 => TargetFormat::Bc7Rgba,
-        // ETC1 is a part of ETC2.
-        TexelFormat::Etc2Rgb => TargetFormat::Etc1Rgb,
-        TexelFormat::Etc2Rgba => TargetFormat::Etc2Rgba,
-        TexelFormat::Astc4x4 => TargetFormat::Astc4x4Rgba,
-    };
-    transcoder.transcode(level, target, DecodeFlags::HIGH_QUALITY | DecodeFlags::BC1_FORBID_THREE_COLOR_BLOCKS)
-}
 
 /// The levels of a texture, largest first.
 pub(super) struct Levels {

@@ -8,10 +8,13 @@ mod files;
 mod ktx2;
 mod mips;
 mod rgba;
+mod size;
+mod transcode;
 
 pub(super) use block_decoder::{BlockKind, decode_blocks};
 pub(super) use dds::is_dds;
 pub(crate) use decode::decode_file;
-pub(super) use decode::{SharedTexture, check_size, decode_shared, is_image, size_of, texture_of_rgba};
+pub(super) use decode::{SharedTexture, decode_shared, is_image, size_of, texture_of_rgba};
 pub use files::ImageFiles;
 pub(super) use mips::mips;
+pub(super) use size::check_size;

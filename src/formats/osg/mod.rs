@@ -8,13 +8,13 @@ mod build;
 mod classes;
 mod dot_osg;
 mod error;
+mod file_names;
 mod folder;
 mod input;
 mod ive;
 mod motion;
 mod objects;
 mod read_ahead;
-mod terrain;
 mod text;
 
 use std::sync::Arc;
@@ -27,11 +27,10 @@ pub use self::read_ahead::ReadAhead;
 
 use self::build::Source;
 use self::folder::earth_from_system;
-use self::objects::{NodeClass, Object};
-use self::terrain::TerrainSettings;
+use self::objects::{NodeClass, Object, TerrainSettings};
 use super::ignored::Notes;
 use super::options::{Fetched, ReadOptions};
-use super::overlay::TileVolume;
+use super::tile::TileVolume;
 use crate::fetch::IoError;
 use crate::math::OrientedBox;
 use crate::scene::Node;

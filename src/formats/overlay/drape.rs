@@ -11,10 +11,9 @@ use glam::{DAffine3, DVec3};
 use super::extent::Extent;
 use super::grid::{GeoRectangle, near};
 use super::set::OverlaySet;
-use crate::fetch::Limits;
+use crate::fetch::{Fetched, Limits};
 use crate::formats::ignored::Notes;
 use crate::formats::image::mips;
-use crate::formats::options::Fetched;
 use crate::formats::tile::with_region;
 use crate::math::{BoundingVolume, Ellipsoid};
 use crate::scene::{
@@ -28,7 +27,7 @@ const POLE: f64 = 1e-7;
 
 /// Stores the regions of tiles with their contents, so that the images of a content are those of its region and not of the
 /// box around it.
-pub(super) fn note_regions(node: &mut Node) {
+pub(in crate::formats) fn note_regions(node: &mut Node) {
     if let NodeKind::PagedLod(tile) | NodeKind::MultiContentTile(tile) = &mut node.kind
         && let BoundingVolume::Region(region) = &tile.bounds
         && tile.content.is_some()
@@ -41,7 +40,7 @@ pub(super) fn note_regions(node: &mut Node) {
 
 /// The content that overlays are draped over.
 #[derive(Clone, Copy)]
-pub(super) struct Draped {
+pub(in crate::formats) struct Draped {
     pub set_from_content: DAffine3,
     pub ellipsoid: Ellipsoid,
     /// True if surfaces stay as smooth as they are.
@@ -49,7 +48,7 @@ pub(super) struct Draped {
 }
 
 /// Drapes the overlays over all drawables below the root node of a content. `images` were fetched for them.
-pub(super) fn apply(
+pub(in crate::formats) fn drape_images(
     node: &mut Node,
     set: &OverlaySet,
     extent: &Extent,

@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::grid::GeoRectangle;
 use crate::formats::height;
+use crate::formats::tile::TileVolume;
 use crate::math::{Ellipsoid, OrientedBox};
 use crate::scene::ReaderData;
 
@@ -14,18 +15,9 @@ const MAX_RADIUS: f64 = 0.6272;
 /// Steps along each axis of a box at which its longitudes and latitudes are looked up.
 const STEPS: i32 = 4;
 
-/// The declared volume of the tile that a content is for, as the scene knows it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TileVolume {
-    /// The volume, or the box around it, in the frame of the whole set.
-    pub bounds: OrientedBox,
-    /// The geometric error of the tile in metres, or what follows from those above if it has none; 0 if it is unknown.
-    pub geometric_error_m: f64,
-}
-
 /// A tile as overlays see it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Extent {
+pub(in crate::formats) struct Extent {
     pub rectangle: GeoRectangle,
     /// Metres of the earth: images are chosen by the angles that their texels cover, and a metre of a small body is a large angle.
     pub geometric_error_m: f64,

@@ -12,7 +12,6 @@
 //! tile's texels and `TileGrid::cover_for` the level of its images. See docs/decisions/0051.
 
 mod compose;
-mod content;
 mod document;
 mod drape;
 mod extent;
@@ -24,9 +23,9 @@ mod source;
 mod template;
 mod xml;
 
-pub(super) use content::{Draping, needed};
 pub(super) use document::{DocumentInfo, describe};
-pub use extent::TileVolume;
+pub(super) use drape::{Draped, drape_images, note_regions};
+pub(super) use extent::Extent;
 pub use grid::{GeoRectangle, Tiling};
 pub(super) use images::check as check_image;
 pub use options::{OverlayError, OverlaySource, RasterOverlay};

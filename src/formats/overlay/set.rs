@@ -16,11 +16,10 @@ use super::images::{self, ImageCache};
 use super::options::OverlaySource;
 use super::options::{OverlayError, RasterOverlay};
 use super::source::{Overlay, is_no_answer};
-use crate::fetch::{IoError, Limits};
+use crate::fetch::{Fetched, IoError, Limits};
 #[cfg(feature = "http")]
 use crate::fetch::{is_remote, server};
 use crate::formats::ignored::Notes;
-use crate::formats::options::Fetched;
 use crate::scene::Texture;
 
 /// The maximum number of overlays.
@@ -175,7 +174,7 @@ impl OverlaySet {
 
     /// Returns the addresses that a tile needs next and that are not in `known`: documents, then images, then coarser images in
     /// place of those that are missing.
-    pub(super) fn needed(&self, extent: &Extent, known: &[Fetched], limits: &Limits) -> Vec<Arc<str>> {
+    pub(in crate::formats) fn needed(&self, extent: &Extent, known: &[Fetched], limits: &Limits) -> Vec<Arc<str>> {
         let mut needed: Vec<Arc<str>> = Vec::new();
         self.visit(extent, known, limits, |overlay, uri, known| {
             if known.is_none() && !needed.contains(uri) && !overlay.is_unreachable() {
@@ -190,7 +189,7 @@ impl OverlaySet {
     }
 
     /// Returns what was fetched for the overlays of a tile among what was fetched for its content.
-    pub(super) fn fetched(&self, extent: &Extent, all: &[Fetched], limits: &Limits) -> Vec<Fetched> {
+    pub(in crate::formats) fn fetched(&self, extent: &Extent, all: &[Fetched], limits: &Limits) -> Vec<Fetched> {
         let mut found: Vec<Fetched> = Vec::new();
         self.visit(extent, all, limits, |_, uri, known| {
             if let Some(known) = known
@@ -265,7 +264,7 @@ impl OverlaySet {
         let mut layers = Vec::new();
         let mut size = own.map_or([0.0; 2], |own| [f64::from(own.width), f64::from(own.height)]);
         for overlay in &self.overlays {
-            let Some(tiles) = overlay.known_tiles(fetched, self, notes) else { continue };
+            let Some(tiles) = self.known_tiles(overlay, fetched, notes) else { continue };
             let Some(cover) = tiles.grid.cover_for(texel_m, &extent.rectangle, self.max_texture_px) else { continue };
             let images = self.images_of(overlay, tiles, &cover, fetched, limits, notes);
             if images.iter().all(Option::is_none) {
@@ -294,6 +293,22 @@ impl OverlaySet {
             overlay.credit().iter().for_each(|credit| notes.add_credit(credit));
         }
         Some(canvas)
+    }
+
+    /// Returns the tiles of an overlay if they are known; counts and names a document that is missing or invalid.
+    fn known_tiles<'a>(&self, overlay: &'a Overlay, fetched: &[Fetched], notes: &Notes) -> Option<&'a ServerTiles> {
+        match overlay.tiles.get() {
+            Some(Ok(tiles)) => return Some(tiles),
+            Some(Err(error)) => self.note_missing(error.clone(), notes),
+            None => {
+                let document = fetched.iter().find(|(uri, _)| *uri == overlay.address);
+                if let Some((_, Err(error))) = document {
+                    overlay.note_answer(error);
+                    self.note_missing(error.clone(), notes);
+                }
+            }
+        }
+        None
     }
 
     /// Returns the image of each tile of a cover with its area, or that of a coarser tile.
@@ -352,7 +367,7 @@ impl OverlaySet {
     }
 
     /// Counts and names what is missing.
-    pub(super) fn note_missing(&self, error: IoError, notes: &Notes) {
+    fn note_missing(&self, error: IoError, notes: &Notes) {
         notes.add_missing(MISSING, &error);
         self.missing_count.fetch_add(1, Ordering::Relaxed);
         let mut missing = self.missing.lock().unwrap_or_else(PoisonError::into_inner);

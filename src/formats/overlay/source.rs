@@ -7,11 +7,8 @@ use std::time::{Duration, Instant};
 use super::document::{self, ServerTiles, WmtsChoice};
 use super::grid::{GeoRectangle, TileGrid, TileIndex};
 use super::options::{OverlaySource, RasterOverlay};
-use super::set::OverlaySet;
 use super::template::Template;
 use crate::fetch::{IoError, RootScope, is_remote, resolve};
-use crate::formats::ignored::Notes;
-use crate::formats::options::Fetched;
 
 /// The largest level that a template is asked for.
 const MAX_LEVEL: u32 = 30;
@@ -161,22 +158,6 @@ impl Overlay {
     /// Returns true if a document says what tiles there are.
     pub fn has_document(&self) -> bool {
         matches!(self.options.source, OverlaySource::Tms { .. } | OverlaySource::Wmts { .. })
-    }
-
-    /// Returns the tiles if they are known; counts and names a document that is missing or invalid.
-    pub fn known_tiles(&self, fetched: &[Fetched], set: &OverlaySet, notes: &Notes) -> Option<&ServerTiles> {
-        match self.tiles.get() {
-            Some(Ok(tiles)) => return Some(tiles),
-            Some(Err(error)) => set.note_missing(error.clone(), notes),
-            None => {
-                let document = fetched.iter().find(|(uri, _)| *uri == self.address);
-                if let Some((_, Err(error))) = document {
-                    self.note_answer(error);
-                    set.note_missing(error.clone(), notes);
-                }
-            }
-        }
-        None
     }
 
     pub fn read_document(&self, bytes: &[u8]) -> Result<ServerTiles, IoError> {

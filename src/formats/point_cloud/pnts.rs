@@ -7,11 +7,11 @@ use glam::{DAffine3, DVec3, Vec2, Vec3};
 use serde::Deserialize;
 
 use super::draco::{DracoJson, DracoPoints};
-use crate::fetch::IoError;
-use crate::formats::feature_table::{self, BinaryOffset, Global};
+use crate::fetch::{IoError, Limits};
 use crate::formats::ignored::Notes;
 use crate::formats::options::ReadOptions;
 use crate::formats::properties;
+use crate::formats::properties::feature_table::{self, BinaryOffset, Global};
 use crate::math::Aabb;
 use crate::math::color::linear_from_srgb8;
 use crate::scene::{
@@ -91,7 +91,7 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], options: &ReadOptions, n
         let Some(global) = global else { return Ok(None) };
         global.vector(binary).map(|v| Some(DVec3::from_array(v))).ok_or_else(|| bad(&format!("{name} is invalid")))
     };
-    let (mut positions, origin) = match draco.as_ref().and_then(DracoPoints::positions) {
+    let (positions, origin) = match draco.as_ref().and_then(DracoPoints::positions) {
         Some(points) => (points, vector(&table.rtc_center, "RTC_CENTER")?.unwrap_or_default()),
         None => positions(&table, &column, &vector, &bad)?,
     };
@@ -118,26 +118,7 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], options: &ReadOptions, n
             _ => vec![constant; count],
         },
     };
-    let mut bounds = Aabb::EMPTY;
-    let mut vertices = Vec::with_capacity(count);
-    for (i, (position, color)) in positions.drain(..).zip(colors).enumerate() {
-        if !position.is_finite() {
-            return Err(bad(&format!("position {i} is not finite")));
-        }
-        bounds = bounds.union(&Aabb { min: position.as_dvec3(), max: position.as_dvec3() });
-        let normal = normals.as_ref().and_then(|n| n.get(i)).copied().unwrap_or(Vec3::ZERO);
-        let normal = (normal.clamp(Vec3::NEG_ONE, Vec3::ONE) * 127.0).round();
-        let [red, green, blue, alpha] = color;
-        vertices.push(MeshVertex {
-            position: position.to_array(),
-            normal: [normal.x as i8, normal.y as i8, normal.z as i8, 0],
-            // Colours of points are sRGB, colours of vertices linear.
-            color: [linear(red), linear(green), linear(blue), alpha],
-            ..MeshVertex::default()
-        });
-    }
-    let indices: Arc<[u32]> = (0..count as u32).collect();
-    let mut mesh = Mesh { vertices, indices, topology: Topology::Points, bounds, ..Mesh::default() };
+    let mut mesh = mesh_of(positions, normals.as_deref(), colors).map_err(|reason| bad(&reason))?;
     let wants_attribute = options.vertex_attributes.iter().any(|name| **name == *BATCH_ID_ATTRIBUTE);
     let ids = match draco.as_ref().and_then(DracoPoints::batch_ids) {
         Some(ids) => Some(ids),
@@ -155,16 +136,8 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], options: &ReadOptions, n
             // Without batch ids the table has a row for each point.
             (None, _) => count,
         };
-        let part = |at: usize, length: usize| bytes.get(at..at.saturating_add(length)).unwrap_or_default();
-        let [json_length, binary_length] = [20, 24].map(|at| word(at).unwrap_or(0));
-        let batch_binary = part(end.saturating_add(json_length), binary_length);
-        let batch = properties::batch_table(part(end, json_length), batch_binary, rows, &options.limits, &|kind| {
-            notes.add(kind)
-        });
-        let (table, tables) = (batch.is_some().then_some(0), batch.map(Arc::new).into_iter().collect());
-        let ids = ids.map_or(FeatureIds::VertexIndex, |ids| FeatureIds::PerVertex(ids.into()));
-        let set = FeatureIdSet { label: String::new(), null_id: None, ids, table };
-        Arc::new(DrawableFeatures { sets: vec![set], tables, ..DrawableFeatures::default() })
+        let lengths = [20, 24].map(|at| word(at).unwrap_or(0));
+        features_of(bytes.get(end..).unwrap_or_default(), lengths, rows, ids, (&options.limits, notes))
     });
     let alpha = match mesh.vertices.iter().all(|vertex| vertex.color[3] == u8::MAX) {
         true => AlphaMode::Opaque,
@@ -175,6 +148,47 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], options: &ReadOptions, n
     drawable.features = features;
     let geode = Node::geode(vec![drawable]);
     Ok(Node::transform(DAffine3::from_translation(origin), vec![geode]))
+}
+
+/// Returns a mesh of points with colours in sRGB. The error is the reason why there is none.
+fn mesh_of(positions: Vec<Vec3>, normals: Option<&[Vec3]>, colors: Vec<[u8; 4]>) -> Result<Mesh, String> {
+    let mut bounds = Aabb::EMPTY;
+    let mut vertices = Vec::with_capacity(positions.len());
+    for (i, (position, [red, green, blue, alpha])) in positions.into_iter().zip(colors).enumerate() {
+        if !position.is_finite() {
+            return Err(format!("position {i} is not finite"));
+        }
+        bounds = bounds.union(&Aabb { min: position.as_dvec3(), max: position.as_dvec3() });
+        let normal = normals.and_then(|n| n.get(i)).copied().unwrap_or(Vec3::ZERO);
+        let normal = (normal.clamp(Vec3::NEG_ONE, Vec3::ONE) * 127.0).round();
+        vertices.push(MeshVertex {
+            position: position.to_array(),
+            normal: [normal.x as i8, normal.y as i8, normal.z as i8, 0],
+            // Colours of points are sRGB, colours of vertices linear.
+            color: [linear(red), linear(green), linear(blue), alpha],
+            ..MeshVertex::default()
+        });
+    }
+    let indices: Arc<[u32]> = (0..vertices.len() as u32).collect();
+    Ok(Mesh { vertices, indices, topology: Topology::Points, bounds, ..Mesh::default() })
+}
+
+/// Returns the features of points from their batch ids and the batch table, which `bytes` begin with: JSON and a binary part of
+/// some lengths.
+fn features_of(
+    bytes: &[u8],
+    [json_length, binary_length]: [usize; 2],
+    rows: usize,
+    ids: Option<Vec<u32>>,
+    (limits, notes): (&Limits, &Notes),
+) -> Arc<DrawableFeatures> {
+    let part = |at: usize, length: usize| bytes.get(at..at.saturating_add(length)).unwrap_or_default();
+    let (json, binary) = (part(0, json_length), part(json_length, binary_length));
+    let batch = properties::batch_table(json, binary, rows, limits, &|kind| notes.add(kind));
+    let (table, tables) = (batch.is_some().then_some(0), batch.map(Arc::new).into_iter().collect());
+    let ids = ids.map_or(FeatureIds::VertexIndex, |ids| FeatureIds::PerVertex(ids.into()));
+    let set = FeatureIdSet { label: String::new(), null_id: None, ids, table };
+    Arc::new(DrawableFeatures { sets: vec![set], tables, ..DrawableFeatures::default() })
 }
 
 /// Returns the batch id of each point, if there are any.

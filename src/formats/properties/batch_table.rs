@@ -5,9 +5,9 @@ use serde_json::{Map, Value};
 
 use super::binary_column::BinaryColumn;
 use super::component::Component;
+use super::feature_table;
 use super::property_type::{Element, PropertyType, from_json};
 use crate::fetch::Limits;
-use crate::formats::feature_table;
 use crate::scene::{Column, PropertyColumn, PropertyTable, PropertyValue};
 
 /// A reference to the binary part.

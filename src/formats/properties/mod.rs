@@ -6,13 +6,14 @@
 //! | `schema` | the JSON of schemas, tables and metadata |
 //! | `property_type`, `component` | stored values to values: normalization, scale, noData, defaults, names of enums |
 //! | `table`, `binary_column`, `shared_bytes` | tables whose columns are buffer views |
-//! | `batch_table` | tables of 3D Tiles 1.0 |
+//! | `batch_table`, `feature_table` | tables of 3D Tiles 1.0 |
 //! | `entities`, `metadata_budget` | metadata of tilesets, tiles, contents and groups, and its maximum size |
 
 mod batch_table;
 mod binary_column;
 mod component;
 mod entities;
+pub(super) mod feature_table;
 mod metadata_budget;
 mod property_type;
 mod schema;

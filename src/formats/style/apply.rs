@@ -12,17 +12,26 @@ use glam::DAffine3;
 use super::looks::{FeatureColumn, Looks};
 use super::style::Style;
 use crate::formats::ignored::Notes;
-use crate::formats::options::ReadOptions;
 use crate::formats::subset::Subset;
 use crate::scene::{
     AlphaMode, Drawable, DrawableFeatures, FeatureIdSet, FeatureIds, Geometry, Material, Mesh, MeshVertex, Node,
     NodeKind, Topology,
 };
 
-/// Applies a style to all drawables below the root node of a content. Features are removed afterwards unless they are kept.
-pub(in crate::formats) fn apply(node: &mut Node, style: &Style, options: &ReadOptions, notes: &Notes) {
+/// What a style is applied to.
+#[derive(Clone, Copy)]
+pub(in crate::formats) struct Styled {
+    pub set_from_content: DAffine3,
+    /// False if features are removed afterwards.
+    pub keeps_features: bool,
+    /// See [`Limits::max_elements`](crate::fetch::Limits::max_elements).
+    pub max_elements: usize,
+}
+
+/// Applies a style to all drawables below the root node of a content.
+pub(in crate::formats) fn apply(node: &mut Node, style: &Style, to: Styled, notes: &Notes) {
     style.note_ignored(notes);
-    Styler { style, options, notes, known: HashMap::new() }.node(node, options.set_from_content);
+    Styler { style, to, notes, known: HashMap::new() }.node(node, to.set_from_content);
 }
 
 /// The addresses of a mesh and of its features, and whether its material ignores alpha.
@@ -46,17 +55,17 @@ enum Paint {
 }
 
 /// A mesh that was styled. Its source is kept, so that no other mesh gets its address.
-struct Styled {
+struct StyledMesh {
     _source: Drawable,
     parts: Vec<Part>,
 }
 
 struct Styler<'a> {
     style: &'a Style,
-    options: &'a ReadOptions,
+    to: Styled,
     notes: &'a Notes,
     /// Meshes that several nodes draw are styled once.
-    known: HashMap<MeshKey, Styled>,
+    known: HashMap<MeshKey, StyledMesh>,
 }
 
 impl Styler<'_> {
@@ -91,7 +100,7 @@ impl Styler<'_> {
                 (drawable.shared.geometry, drawable.shared.indices) = (None, None);
                 drawable.geometry = Geometry::Mesh(part.mesh);
             }
-            drawable.features = part.features.filter(|_| self.options.keep_features);
+            drawable.features = part.features.filter(|_| self.to.keeps_features);
             part.paint.apply(&mut drawable.material);
             drawable
         });
@@ -120,12 +129,12 @@ impl Styler<'_> {
             None => Looks::uniform(style.look(&Default::default()), vertices),
         };
         let is_large = mesh.topology == Topology::Points && looks.all().iter().any(|look| look.point_size_px() > 1.0);
-        let has_squares = is_large && mesh.indices.len().saturating_mul(4) <= self.options.limits.max_elements;
+        let has_squares = is_large && mesh.indices.len().saturating_mul(4) <= self.to.max_elements;
         if is_large && !has_squares {
             self.notes.add("style: pointSize of a point cloud that is too large for it");
         }
         let parts = styled_parts(mesh, drawable, &looks, has_squares);
-        self.known.insert(key, Styled { _source: drawable.clone(), parts: parts.clone() });
+        self.known.insert(key, StyledMesh { _source: drawable.clone(), parts: parts.clone() });
         parts
     }
 }

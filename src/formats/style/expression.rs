@@ -8,8 +8,7 @@ use std::sync::Arc;
 
 use super::functions::Function;
 use super::subject::Subject;
-use super::text;
-use super::value::{Value, Vector};
+use super::value::{Value, componentwise};
 
 /// An operator between two operands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -202,21 +201,4 @@ fn matches(left: &Value, right: &Value) -> Option<bool> {
 
 fn compare(left: &Value, right: &Value, is_in_order: impl Fn(f64, f64) -> bool) -> Value {
     Value::Bool(matches!((left, right), (Value::Number(a), Value::Number(b)) if is_in_order(*a, *b)))
-}
-
-/// Combines two numbers, or the components of two vectors of one type.
-pub(super) fn componentwise(left: &Value, right: &Value, f: impl Fn(f64, f64) -> f64) -> Value {
-    match (left, right) {
-        (Value::Number(a), Value::Number(b)) => Value::Number(f(*a, *b)),
-        (Value::Vector(a), Value::Vector(b)) => Value::vector(Vector::zip(*a, *b, f)),
-        _ => Value::Undefined,
-    }
-}
-
-/// Compiles a regular expression from values; undefined if it is invalid.
-pub(super) fn regex_of(arguments: &[Value]) -> Value {
-    let text_of = |at: usize| arguments.get(at).map(Value::to_text);
-    let pattern = text_of(0).unwrap_or_else(|| "(?:)".into());
-    let compiled = text::regex(&pattern, &text_of(1).unwrap_or_default());
-    compiled.map_or(Value::Undefined, Value::Regex)
 }

@@ -3,8 +3,8 @@
 use std::ops::RangeInclusive;
 
 use super::colors::{named, rgb_from_hsl};
-use super::expression::{componentwise, regex_of};
-use super::value::{Value, Vector};
+use super::text;
+use super::value::{Value, Vector, componentwise};
 
 /// A function of numbers is applied to each component of vectors.
 #[derive(Clone, Copy, Debug)]
@@ -202,4 +202,12 @@ fn colored(arguments: &[Value], rgb: impl Fn([f64; 3]) -> [f64; 3]) -> Value {
     };
     let [r, g, b] = rgb([x, y, z]);
     Value::vector(Vector::new(&[r, g, b, alpha]))
+}
+
+/// Compiles a regular expression from values; undefined if it is invalid.
+fn regex_of(arguments: &[Value]) -> Value {
+    let text_of = |at: usize| arguments.get(at).map(Value::to_text);
+    let pattern = text_of(0).unwrap_or_else(|| "(?:)".into());
+    let compiled = text::regex(&pattern, &text_of(1).unwrap_or_default());
+    compiled.map_or(Value::Undefined, Value::Regex)
 }

@@ -9,6 +9,7 @@ mod colors;
 mod error;
 mod expression;
 mod functions;
+mod look;
 mod looks;
 mod parser;
 #[expect(clippy::module_inception, reason = "the folder is named after its type")]
@@ -17,6 +18,6 @@ mod subject;
 mod text;
 mod value;
 
-pub(super) use apply::apply;
+pub(super) use apply::{Styled, apply};
 pub use error::StyleError;
 pub use style::Style;

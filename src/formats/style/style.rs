@@ -7,7 +7,7 @@ use serde_json::{Map, Value as Json};
 
 use super::error::StyleError;
 use super::expression::Expression;
-use super::looks::Look;
+use super::look::Look;
 use super::parser::{self, Names};
 use super::subject::{Point, Subject};
 use super::value::{Value, Vector};

@@ -164,6 +164,15 @@ impl Value {
     }
 }
 
+/// Combines two numbers, or the components of two vectors of one type.
+pub(super) fn componentwise(left: &Value, right: &Value, f: impl Fn(f64, f64) -> f64) -> Value {
+    match (left, right) {
+        (Value::Number(a), Value::Number(b)) => Value::Number(f(*a, *b)),
+        (Value::Vector(a), Value::Vector(b)) => Value::vector(Vector::zip(*a, *b, f)),
+        _ => Value::Undefined,
+    }
+}
+
 impl From<PropertyValue> for Value {
     /// Converts the value of a property. Two to four numbers become a vector.
     fn from(value: PropertyValue) -> Self {

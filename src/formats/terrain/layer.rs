@@ -15,7 +15,7 @@ use crate::formats::lenient::{Number, Numbers, Text, texts};
 use crate::formats::options::{Fetched, ReadOptions};
 
 /// The maximum number of layers: a loader asks for further files a limited number of times.
-const MAX_LAYERS: usize = crate::formats::read::MAX_DEPENDENCY_ROUNDS + 1;
+const MAX_LAYERS: usize = crate::formats::options::MAX_DEPENDENCY_ROUNDS + 1;
 /// The finest level of a layer that names neither its tiles nor a level.
 const USUAL_MAX_ZOOM: u32 = 18;
 /// The extensions of tiles that are asked for, by their names in layer.json.
@@ -235,20 +235,7 @@ impl Layer {
             UriTemplate::resolve(uri, &template, options)
         };
         let templates = json.tiles.iter().map(resolve).collect::<Result<Vec<_>, _>>()?;
-        let bounds = json.bounds.as_ref().and_then(|bounds| {
-            let degrees: Option<[f64; 4]> = bounds.0.as_slice().try_into().ok();
-            let usable = degrees.filter(|[west, south, east, north]| {
-                west.abs() <= 180.0
-                    && east.abs() <= 180.0
-                    && south.abs() <= 90.0
-                    && north.abs() <= 90.0
-                    && south < north
-            });
-            if usable.is_none() {
-                notes.add("layer.json: invalid bounds");
-            }
-            usable.map(|bounds| bounds.map(f64::to_radians))
-        });
+        let bounds = json.bounds.as_ref().and_then(|bounds| usable_bounds(&bounds.0, notes));
         let zoom = |zoom: Option<Number>, name: &str| match zoom {
             None => Ok(None),
             Some(Number(level)) if (0.0..=f64::from(MAX_LEVEL)).contains(&level) => Ok(Some(level as u32)),
@@ -266,28 +253,7 @@ impl Layer {
         }
         let available = match (&json.available, metadata_levels) {
             (_, Some(_)) => Availability::roots(tiling),
-            (Some(ranges), None) => {
-                let (available, faults) =
-                    Availability::of_ranges(ranges, 0, tiling).map_err(|reason| bad(format!("available: {reason}")))?;
-                let counts = available.counts();
-                let levels = counts.iter().rposition(|count| *count > 0).map(|last| last as u32);
-                if counts.iter().all(|count| *count == 0) {
-                    notes.add("layer.json: available has no tiles");
-                }
-                for (is_so, note) in [
-                    (faults.is_outside, "layer.json: available has tiles that a level lacks"),
-                    (faults.is_orphaned, "layer.json: available has tiles without a parent"),
-                    (
-                        max_zoom.is_some_and(|max| levels.is_some_and(|last| last > max)),
-                        "layer.json: available has tiles beyond maxzoom",
-                    ),
-                ] {
-                    if is_so {
-                        notes.add(note);
-                    }
-                }
-                available
-            }
+            (Some(ranges), None) => listed(ranges, tiling, max_zoom, notes).map_err(bad)?,
             (None, None) => {
                 notes.add("layer.json: neither available nor metadataAvailability; tiles up to maxzoom are tried");
                 let over = bounds.map(|[west, south, east, north]| Rectangle { west, south, east, north });
@@ -353,6 +319,45 @@ impl Layer {
         let templates: u64 = self.templates.iter().map(UriTemplate::size_bytes).sum();
         size_of::<Self>() as u64 + templates + self.available.size_bytes()
     }
+}
+
+/// Returns bounds in radians from degrees: west, south, east and north. `None` for bounds that are not on the earth.
+fn usable_bounds(degrees: &[f64], notes: &Notes) -> Option<[f64; 4]> {
+    let degrees: Option<[f64; 4]> = degrees.try_into().ok();
+    let usable = degrees.filter(|[west, south, east, north]| {
+        west.abs() <= 180.0 && east.abs() <= 180.0 && south.abs() <= 90.0 && north.abs() <= 90.0 && south < north
+    });
+    if usable.is_none() {
+        notes.add("layer.json: invalid bounds");
+    }
+    usable.map(|bounds| bounds.map(f64::to_radians))
+}
+
+/// Returns the tiles that the ranges of a layer list. The error is the reason why they are invalid.
+fn listed(
+    ranges: &[Vec<RangeJson>],
+    tiling: Tiling,
+    max_zoom: Option<u32>,
+    notes: &Notes,
+) -> Result<Availability, String> {
+    let (available, faults) =
+        Availability::of_ranges(ranges, 0, tiling).map_err(|reason| format!("available: {reason}"))?;
+    let counts = available.counts();
+    let last = counts.iter().rposition(|count| *count > 0).map(|last| last as u32);
+    if last.is_none() {
+        notes.add("layer.json: available has no tiles");
+    }
+    let is_beyond = max_zoom.is_some_and(|max| last.is_some_and(|last| last > max));
+    for (is_so, note) in [
+        (faults.is_outside, "layer.json: available has tiles that a level lacks"),
+        (faults.is_orphaned, "layer.json: available has tiles without a parent"),
+        (is_beyond, "layer.json: available has tiles beyond maxzoom"),
+    ] {
+        if is_so {
+            notes.add(note);
+        }
+    }
+    Ok(available)
 }
 
 #[cfg(test)]

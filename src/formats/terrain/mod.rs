@@ -4,7 +4,8 @@
 //! | file | contents |
 //! |---|---|
 //! | `layer` | layer.json, and the layers that it is laid over |
-//! | `set`, `pages` | the tree: root tiles, and pages of tiles that are made when they are wanted |
+//! | `set` | the layers together |
+//! | `read`, `pages` | the tree: root tiles, and pages of tiles that are made when they are wanted |
 //! | `availability` | which tiles there are |
 //! | `tile` | the content of a tile |
 //! | `quantized` | the file of a tile |
@@ -18,6 +19,7 @@ mod layer;
 mod mesh;
 mod pages;
 mod quantized;
+mod read;
 mod set;
 mod surface;
 mod tile;
@@ -26,9 +28,9 @@ mod water;
 
 pub(super) use layer::{Layer, is_layer, is_layer_text, parent_files, read_layers};
 pub(super) use pages::TerrainPage;
-pub use set::ellipsoid;
-pub(super) use set::read;
+pub use read::ellipsoid;
+pub(super) use read::read;
 #[cfg(feature = "http")]
-pub(super) use set::read_tiles;
+pub(super) use read::read_tiles;
 pub use tile::terrain_extent;
 pub(super) use tile::{TerrainTile, is_tile_name, read_alone};

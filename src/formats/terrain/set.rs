@@ -1,18 +1,12 @@
-//! [`TerrainSet`]: a terrain service, or the ellipsoid alone, and its root tiles. Immutable; decode threads.
+//! [`TerrainSet`]: a terrain service, or the ellipsoid alone. Immutable; decode threads.
 
 use std::sync::Arc;
 
 use super::availability::Availability;
-use super::layer::{Layer, read_layers};
-use super::pages::TerrainPage;
+use super::layer::Layer;
 use super::tiling::Tiling;
-use crate::fetch::IoError;
-use crate::formats::ignored::Notes;
 use crate::formats::implicit::TileCoordinates;
-use crate::formats::options::{Fetched, ReadOptions};
-use crate::formats::tile::{Tile, node_of};
 use crate::math::Ellipsoid;
-use crate::scene::Node;
 
 /// The name of the ellipsoid in the names of its tiles.
 const ELLIPSOID: &str = "ellipsoid";
@@ -30,25 +24,13 @@ pub(super) struct TerrainSet {
 
 impl TerrainSet {
     /// Returns the ellipsoid without terrain, or a part of it.
-    fn bare(ellipsoid: Ellipsoid, tiling: Tiling) -> Arc<Self> {
+    pub fn bare(ellipsoid: Ellipsoid, tiling: Tiling) -> Arc<Self> {
         let part = match tiling {
             Tiling::Geographic | Tiling::Mercator => "",
             Tiling::NorthCap => "-north",
             Tiling::SouthCap => "-south",
         };
         Arc::new(Self { uri: format!("{ELLIPSOID}{part}").into(), tiling, ellipsoid, layers: Vec::new() })
-    }
-
-    /// Returns the root tiles, each with the page of its file and the first levels below it. Until that is read, and if it
-    /// cannot be, the ellipsoid is drawn.
-    fn root_tiles(self: &Arc<Self>) -> Vec<Tile> {
-        let columns = 0..self.tiling.root_columns();
-        let roots = columns.map(|x| {
-            let tile = TileCoordinates { level: 0, x, y: 0, z: 0 };
-            let known: Arc<[Availability]> = self.layers.iter().map(|layer| layer.available.within(tile)).collect();
-            TerrainPage::root(self.clone(), tile, known).into_root()
-        });
-        roots.collect()
     }
 
     /// Returns the error of a level, metres.
@@ -88,42 +70,4 @@ impl TerrainSet {
     pub fn size_bytes(&self) -> u64 {
         self.layers.iter().map(Layer::size_bytes).sum()
     }
-}
-
-/// Reads a layer.json as root tiles. `companions` are the files that [`parent_files`](super::parent_files) returned. Around
-/// the poles, which Web Mercator does not reach, the ellipsoid is drawn.
-pub(in crate::formats) fn read_tiles(
-    uri: &Arc<str>,
-    text: &[u8],
-    companions: &[Fetched],
-    options: &ReadOptions,
-) -> Result<Vec<Tile>, IoError> {
-    let notes = Notes::default();
-    let layers = read_layers(uri, text, companions, options, &notes);
-    options.ignored.add(&notes.into_ignored());
-    let layers = layers?;
-    let tiling = layers.first().map_or(Tiling::Geographic, |layer| layer.tiling);
-    let set = Arc::new(TerrainSet { uri: uri.clone(), tiling, ellipsoid: options.ellipsoid, layers });
-    let mut tiles = set.root_tiles();
-    if tiling == Tiling::Mercator {
-        tiles.extend(TerrainSet::bare(options.ellipsoid, Tiling::NorthCap).root_tiles());
-        tiles.extend(TerrainSet::bare(options.ellipsoid, Tiling::SouthCap).root_tiles());
-    }
-    Ok(tiles)
-}
-
-/// Reads a layer.json as nodes.
-pub(in crate::formats) fn read(
-    uri: &Arc<str>,
-    text: &[u8],
-    companions: &[Fetched],
-    options: &ReadOptions,
-) -> Result<Node, IoError> {
-    read_tiles(uri, text, companions, options).map(node_of)
-}
-
-/// Returns the surface of an ellipsoid as a tile tree in ECEF metres. Its tiles are made when they are wanted; nothing is
-/// fetched.
-pub fn ellipsoid(ellipsoid: Ellipsoid) -> Node {
-    node_of(TerrainSet::bare(ellipsoid, Tiling::Geographic).root_tiles())
 }

@@ -4,7 +4,6 @@ use serde::Deserialize;
 use serde::de::IgnoredAny;
 use serde_json::Value;
 
-use super::body::Body;
 use super::extras::Extras;
 use crate::fetch::markup::refuse_markup;
 use crate::fetch::{IoError, Limits};
@@ -12,6 +11,7 @@ use crate::formats::embedded::is_data_uri;
 use crate::formats::height::{SetExtras, TileExtras};
 use crate::formats::implicit::ImplicitTilingJson;
 use crate::formats::lenient::{Number, Numbers, Text, object, objects, optional_object, texts, valid_or_default};
+use crate::formats::tile::{Body, ELLIPSOID};
 
 /// Supported extensions that a tileset may require, including those that do not affect drawing.
 const KNOWN_EXTENSIONS: &[&str] = &[
@@ -24,9 +24,6 @@ const KNOWN_EXTENSIONS: &[&str] = &[
     "3DTILES_draco_point_compression",
     "MAXAR_content_3tz",
 ];
-
-/// The extension with the ellipsoid of a set.
-pub(super) const ELLIPSOID: &str = "3DTILES_ellipsoid";
 
 #[derive(Deserialize)]
 pub(crate) struct TilesetJson {

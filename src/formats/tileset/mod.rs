@@ -1,6 +1,5 @@
 //! tileset.json of OGC 3D Tiles 1.0 and 1.1: parsed to tiles and converted to nodes.
 
-mod body;
 mod detect;
 mod extras;
 mod json;
@@ -8,7 +7,6 @@ mod reader;
 mod set_metadata;
 mod volume;
 
-pub use body::Body;
 #[cfg(feature = "http")]
 pub(super) use detect::may_refer_to_files;
 pub(super) use detect::{is_tileset, is_tileset_text, may_be_tileset};
@@ -20,7 +18,7 @@ use std::sync::Arc;
 
 use super::ignored::Notes;
 use super::options::{Fetched, ReadOptions};
-use super::tile::Tile;
+use super::tile::{Body, ELLIPSOID, Tile};
 use crate::fetch::{IoError, Limits, encoding};
 use crate::scene::Node;
 
@@ -28,7 +26,7 @@ use crate::scene::Node;
 pub(super) fn body_of(uri: &str, bytes: &[u8], limits: &Limits) -> Option<Body> {
     // Tilesets may be large, and few have the extension.
     let bytes = encoding::gunzip(uri, bytes.to_vec(), limits).ok()?;
-    let may_declare = bytes.windows(json::ELLIPSOID.len()).any(|text| text == json::ELLIPSOID.as_bytes());
+    let may_declare = bytes.windows(ELLIPSOID.len()).any(|text| text == ELLIPSOID.as_bytes());
     may_declare.then(|| json::parse(uri, &bytes, limits).ok()?.body()?.ok()).flatten()
 }
 

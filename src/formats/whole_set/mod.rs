@@ -3,6 +3,7 @@
 #[cfg(feature = "http")]
 mod fill;
 mod info;
+mod inspect;
 mod measure;
 mod metadata;
 mod model;
@@ -12,21 +13,22 @@ mod report;
 mod survey;
 mod terrain;
 mod tree;
-mod verify;
+mod verified;
 
 #[cfg(feature = "http")]
 pub use fill::{FillOptions, Filled, fill};
-pub use info::{BoundsInfo, Info, LevelInfo, inspect};
+pub use info::{BoundsInfo, Info, LevelInfo};
+pub use inspect::inspect;
 #[cfg(feature = "http")]
-pub use info::{inspect_root_with, inspect_with};
+pub use inspect::{inspect_root_with, inspect_with};
 pub use measure::{LevelMeasures, MapFrame, Problem, Spread, SurveyedTile};
 pub use metadata::MetadataInfo;
 pub use model::ModelInfo;
 pub(super) use region::{is_on_body, overlaps};
 pub use report::InfoError;
 pub(super) use report::too_many;
-pub use survey::{SurveyOptions, survey};
-pub(super) use tree::{load, read_companions};
 #[cfg(feature = "http")]
-pub use verify::verify_with;
-pub use verify::{SurveyEvent, Verified, verify};
+pub use survey::verify_with;
+pub use survey::{SurveyOptions, survey, verify};
+pub(super) use tree::{load, read_companions};
+pub use verified::{SurveyEvent, Verified};

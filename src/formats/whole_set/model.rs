@@ -1,20 +1,13 @@
-//! Summary of a single content, for `terrane info` of a model instead of a tile set.
+//! [`ModelInfo`]: the counts of a single content, for `terrane info` of a model instead of a tile set.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::HashSet;
 use std::sync::Arc;
 
 use serde::Serialize;
 
-use super::info::{BoundsInfo, Info};
-use super::tree::read_companions;
-use crate::fetch::markup::text_and_first_byte;
-use crate::fetch::{IoError, Source, encoding};
-use crate::formats::height;
 use crate::formats::options::{Content, ReadOptions};
-use crate::formats::osg;
 use crate::formats::read::decode_node;
-use crate::formats::terrain;
-use crate::scene::{Drawable, Geometry, Node, NodeKind, Page, ReaderData, Topology};
+use crate::scene::{Drawable, Geometry, Node, NodeKind, ReaderData, Topology};
 
 /// Counts of a single content. A mesh that several nodes draw counts once for each of them.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -39,37 +32,14 @@ pub struct ModelInfo {
     pub paged_files: u64,
 }
 
-/// Reads a content that is no tileset.
-pub(super) fn inspect_model(
-    uri: &Arc<str>,
-    bytes: Vec<u8>,
-    options: &ReadOptions,
-    from: &Source,
-) -> Result<Info, IoError> {
-    let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
-    let mut info = Info { format: format_name(uri, &bytes, options), contents: 1, ..Info::default() };
-    info.bytes = bytes.len() as u64;
-    if osg::is_metadata(&bytes)
-        && let Some((srs, [x, y, z])) = osg::reference_system(&bytes)
-    {
-        info.describe("srs", if srs.is_empty() { "none (its own frame)".to_owned() } else { srs });
-        info.describe("origin", format!("{x}, {y}, {z}"));
-    }
-    let mut options = options.clone();
-    let companions = read_companions(from, uri, &bytes, None, &mut options, &mut info.bytes);
-    let node = decode_node(Content { uri: uri.clone(), bytes, reader_data: None, companions }, &options)?;
-    let mut model = ModelInfo::default();
-    model.add(&node, &options, &mut HashSet::new());
-    let page = Page::from_node(node).map_err(|e| IoError::invalid(uri, e.to_string()))?;
-    let sphere = page.bounding_sphere();
-    info.bounds = BoundsInfo { center: sphere.center.to_array(), radius_m: sphere.radius_m, region: None };
-    info.model = Some(model);
-    let ignored = options.ignored.snapshot();
-    info.ignored = ignored.iter().map(|(kind, count)| (kind.to_owned(), count)).collect::<BTreeMap<_, _>>();
-    Ok(info)
-}
-
 impl ModelInfo {
+    /// Counts what is in a node and below it.
+    pub(super) fn of(node: &Node, options: &ReadOptions) -> Self {
+        let mut model = Self::default();
+        model.add(node, options, &mut HashSet::new());
+        model
+    }
+
     fn add(&mut self, node: &Node, options: &ReadOptions, images: &mut HashSet<usize>) {
         self.nodes += 1;
         match &node.kind {
@@ -116,25 +86,4 @@ impl ModelInfo {
             Err(_) => self.paged_files += 1,
         }
     }
-}
-
-/// Returns the name of a format, by its magic bytes or, for a format without them, by its name.
-fn format_name(uri: &str, bytes: &[u8], options: &ReadOptions) -> String {
-    if osg::is_native(bytes) {
-        return osg::format_name(bytes, options);
-    }
-    let name = match bytes.get(..4) {
-        Some(b"glTF") => "glTF (glb)",
-        Some(b"b3dm") => "3D Tiles content (b3dm)",
-        Some(b"i3dm") => "3D Tiles content (i3dm)",
-        Some(b"cmpt") => "3D Tiles content (cmpt)",
-        Some(b"pnts") => "3D Tiles content (pnts)",
-        Some(&[0x76, 0x2f, 0x31, 0x01]) => "height tile (EXR)",
-        Some(bytes) if bytes == height::PACKED_MAGIC => "height tile (packed)",
-        _ if osg::is_metadata(bytes) => "oblique photogrammetry (metadata.xml)",
-        _ if text_and_first_byte(bytes).1 == Some(b'{') => "glTF (JSON)",
-        _ if terrain::is_tile_name(uri) => "quantized-mesh tile",
-        _ => "unknown",
-    };
-    name.to_owned()
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::info::{BoundsInfo, Info, LevelInfo};
 use super::report::too_many;
-use super::verify::Verified;
+use super::verified::Verified;
 use crate::fetch::{IoError, Limits, Source};
 use crate::formats::decode_image;
 use crate::formats::overlay::{DocumentImages, DocumentInfo, check_image};

@@ -1,5 +1,5 @@
-//! [`survey`]: walks all tiles of a set, depth first, and measures their contents if they are read. One file at a time;
-//! blocking.
+//! [`survey`]: walks all tiles of a set, depth first, and measures their contents if they are read. [`verify`] reads and decodes
+//! them as the pager would, for `terrane info --verify`. One file at a time; blocking.
 
 use std::collections::HashSet;
 use std::rc::Rc;
@@ -12,7 +12,7 @@ use super::measure::{Declared, MapFrame, Measuring};
 use super::overlay::verify_overlay;
 use super::report::too_many;
 use super::tree::{load, read_companions};
-use super::verify::{SurveyEvent, Verified};
+use super::verified::{SurveyEvent, Verified};
 #[cfg(feature = "http")]
 use crate::fetch::HttpConfig;
 use crate::fetch::{IoError, Limits, Loaded, Source, guarded, is_remote, root_uri_within};
@@ -30,7 +30,7 @@ use crate::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Rea
 /// How a set is surveyed.
 #[derive(Clone, Debug)]
 pub struct SurveyOptions {
-    /// Reads and decodes contents, as [`verify`](super::verify) does. On by default. Otherwise only files with tiles are
+    /// Reads and decodes contents, as [`verify`] does. On by default. Otherwise only files with tiles are
     /// read, and the sizes of local contents.
     pub reads_contents: bool,
     /// Measures the contents that are read, which takes most of the time. On by default.
@@ -98,6 +98,31 @@ pub fn survey(
     let ignored = ignored.snapshot();
     verified.ignored = ignored.iter().map(|(kind, count)| (kind.to_owned(), count)).collect();
     Ok(verified)
+}
+
+/// Reads, decodes and measures every content of a tile set, and calls `progress` after each. Fails only if the root cannot be
+/// read.
+pub fn verify(source: &str, limits: &Limits, progress: &mut dyn FnMut(&Verified)) -> Result<Verified, IoError> {
+    verify_by(source, &SurveyOptions { limits: *limits, ..SurveyOptions::default() }, progress)
+}
+
+/// Like [`verify`], with a configuration for servers.
+#[cfg(feature = "http")]
+pub fn verify_with(
+    source: &str,
+    limits: &Limits,
+    http: HttpConfig,
+    progress: &mut dyn FnMut(&Verified),
+) -> Result<Verified, IoError> {
+    verify_by(source, &SurveyOptions { limits: *limits, http, ..SurveyOptions::default() }, progress)
+}
+
+fn verify_by(source: &str, options: &SurveyOptions, progress: &mut dyn FnMut(&Verified)) -> Result<Verified, IoError> {
+    survey(source, options, &mut |event| {
+        if let SurveyEvent::Read(verified) = event {
+            progress(verified);
+        }
+    })
 }
 
 /// A node that must still be visited.

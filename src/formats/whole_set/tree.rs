@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use crate::fetch::{IoError, Loaded, Source, encoding};
 use crate::formats::implicit::{SubtreePart, SubtreeSource};
-use crate::formats::options::{Fetched, ReadOptions};
-use crate::formats::read::{self, MAX_DEPENDENCY_ROUNDS, dependencies};
+use crate::formats::options::{Fetched, MAX_DEPENDENCY_ROUNDS, ReadOptions};
+use crate::formats::read::{self, dependencies};
 use crate::formats::terrain::{TerrainPage, TerrainTile};
 use crate::formats::tile::{ContentBytes, ContentData, Tile, TileContent};
 use crate::scene::ReaderData;

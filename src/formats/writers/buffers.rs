@@ -6,7 +6,7 @@ use meshoptimizer_rs::codec::{
 };
 use serde_json::{Value, json};
 
-use super::glb::container;
+use super::container::container;
 
 /// The extension of compressed views.
 pub(super) const MESHOPT: &str = "EXT_meshopt_compression";

@@ -116,52 +116,8 @@ pub fn write_compressed_glb(mesh: &GlbMesh) -> Vec<u8> {
 
 fn write(mesh: &GlbMesh, compressed: bool) -> Vec<u8> {
     let mut buffers = Buffers::new(compressed);
-    let mut attributes = serde_json::Map::new();
     let grid = Grid::of(mesh);
-    // Strides are multiples of 4 bytes, as glTF requires.
-    let positions = match &grid {
-        Some(grid) => {
-            let steps: Vec<[u16; 4]> = mesh.positions.iter().map(|p| grid.steps(p)).collect();
-            let accessor = buffers.attribute(&elements("VEC3", Component::U16, 8, bytemuck::cast_slice(&steps)));
-            let bound = |pick: fn(u16, u16) -> u16| {
-                let of_all = steps.iter().copied().reduce(|a, b| std::array::from_fn(|k| pick(a[k], b[k])));
-                json!(of_all.unwrap_or_default()[..3])
-            };
-            buffers.set_bounds(accessor, [bound(u16::min), bound(u16::max)]);
-            accessor
-        }
-        None => buffers.positions(&mesh.positions),
-    };
-    attributes.insert("POSITION".into(), positions.into());
-    if !mesh.normals.is_empty() {
-        let accessor = if grid.is_some() {
-            let padded: Vec<[i8; 4]> =
-                mesh.normals.iter().map(|n| n.map(snorm8)).map(|[x, y, z]| [x, y, z, 0]).collect();
-            let elements = elements("VEC3", Component::I8, 4, bytemuck::cast_slice(&padded));
-            buffers.attribute(&Elements { accuracy: Accuracy::Octahedral, ..elements })
-        } else {
-            buffers.attribute(&elements("VEC3", Component::F32, 12, bytemuck::cast_slice(&mesh.normals)))
-        };
-        attributes.insert("NORMAL".into(), accessor.into());
-    }
-    if let Some(map) = mesh.normal_map.as_ref().filter(|map| !map.tangents.is_empty()) {
-        let accessor = if grid.is_some() {
-            let steps: Vec<[i8; 4]> = map.tangents.iter().map(|t| t.map(snorm8)).collect();
-            buffers.attribute(&elements("VEC4", Component::I8, 4, bytemuck::cast_slice(&steps)))
-        } else {
-            buffers.attribute(&elements("VEC4", Component::F32, 16, bytemuck::cast_slice(&map.tangents)))
-        };
-        attributes.insert("TANGENT".into(), accessor.into());
-    }
-    if !mesh.uvs.is_empty() {
-        let accessor = if grid.is_some() && mesh.uvs.as_flattened().iter().all(|x| (0.0..=1.0).contains(x)) {
-            let steps: Vec<[u16; 2]> = mesh.uvs.iter().map(|uv| uv.map(unorm16)).collect();
-            buffers.attribute(&elements("VEC2", Component::U16, 4, bytemuck::cast_slice(&steps)))
-        } else {
-            buffers.attribute(&elements("VEC2", Component::F32, 8, bytemuck::cast_slice(&mesh.uvs)))
-        };
-        attributes.insert("TEXCOORD_0".into(), accessor.into());
-    }
+    let attributes = vertex_attributes(mesh, grid.as_ref(), &mut buffers);
     let indices: Vec<u32> = mesh.indices.iter().copied().map(u32::from).collect();
     let indices = buffers.indices(&indices, mesh.positions.len(), true);
     let roughness = if let GlbRoughness::Even(roughness) = mesh.roughness { roughness } else { 1.0 };
@@ -246,30 +202,58 @@ impl Images {
     }
 }
 
+/// Adds the attributes of vertices to the buffers. Returns the accessors by the names of attributes.
+fn vertex_attributes(mesh: &GlbMesh, grid: Option<&Grid>, buffers: &mut Buffers) -> serde_json::Map<String, Value> {
+    let mut attributes = serde_json::Map::new();
+    // Strides are multiples of 4 bytes, as glTF requires.
+    let positions = match grid {
+        Some(grid) => {
+            let steps: Vec<[u16; 4]> = mesh.positions.iter().map(|p| grid.steps(p)).collect();
+            let accessor = buffers.attribute(&elements("VEC3", Component::U16, 8, bytemuck::cast_slice(&steps)));
+            let bound = |pick: fn(u16, u16) -> u16| {
+                let of_all = steps.iter().copied().reduce(|a, b| std::array::from_fn(|k| pick(a[k], b[k])));
+                json!(of_all.unwrap_or_default()[..3])
+            };
+            buffers.set_bounds(accessor, [bound(u16::min), bound(u16::max)]);
+            accessor
+        }
+        None => buffers.positions(&mesh.positions),
+    };
+    attributes.insert("POSITION".into(), positions.into());
+    if !mesh.normals.is_empty() {
+        let accessor = if grid.is_some() {
+            let padded: Vec<[i8; 4]> =
+                mesh.normals.iter().map(|n| n.map(snorm8)).map(|[x, y, z]| [x, y, z, 0]).collect();
+            let elements = elements("VEC3", Component::I8, 4, bytemuck::cast_slice(&padded));
+            buffers.attribute(&Elements { accuracy: Accuracy::Octahedral, ..elements })
+        } else {
+            buffers.attribute(&elements("VEC3", Component::F32, 12, bytemuck::cast_slice(&mesh.normals)))
+        };
+        attributes.insert("NORMAL".into(), accessor.into());
+    }
+    if let Some(map) = mesh.normal_map.as_ref().filter(|map| !map.tangents.is_empty()) {
+        let accessor = if grid.is_some() {
+            let steps: Vec<[i8; 4]> = map.tangents.iter().map(|t| t.map(snorm8)).collect();
+            buffers.attribute(&elements("VEC4", Component::I8, 4, bytemuck::cast_slice(&steps)))
+        } else {
+            buffers.attribute(&elements("VEC4", Component::F32, 16, bytemuck::cast_slice(&map.tangents)))
+        };
+        attributes.insert("TANGENT".into(), accessor.into());
+    }
+    if !mesh.uvs.is_empty() {
+        let accessor = if grid.is_some() && mesh.uvs.as_flattened().iter().all(|x| (0.0..=1.0).contains(x)) {
+            let steps: Vec<[u16; 2]> = mesh.uvs.iter().map(|uv| uv.map(unorm16)).collect();
+            buffers.attribute(&elements("VEC2", Component::U16, 4, bytemuck::cast_slice(&steps)))
+        } else {
+            buffers.attribute(&elements("VEC2", Component::F32, 8, bytemuck::cast_slice(&mesh.uvs)))
+        };
+        attributes.insert("TEXCOORD_0".into(), accessor.into());
+    }
+    attributes
+}
+
 /// Returns elements, of which those of whole numbers are normalized.
 fn elements<'a>(kind: &'static str, component: Component, stride: usize, bytes: &'a [u8]) -> Elements<'a> {
     let is_normalized = component != Component::F32;
     Elements { kind, component, is_normalized, stride, bytes, accuracy: Accuracy::Exact }
-}
-
-/// Returns a glb file of a document and its binary chunk, which is left out if it is empty. The length of the chunk is a multiple
-/// of 4.
-pub fn container(document: &Value, binary: &[u8]) -> Vec<u8> {
-    let mut text = document.to_string().into_bytes();
-    text.resize(text.len().next_multiple_of(4), b' ');
-    let binary_length = if binary.is_empty() { 0 } else { 8 + binary.len() };
-    let length = 12 + 8 + text.len() + binary_length;
-    let mut out = Vec::with_capacity(length);
-    out.extend_from_slice(b"glTF");
-    out.extend_from_slice(&2u32.to_le_bytes());
-    out.extend_from_slice(&(length as u32).to_le_bytes());
-    out.extend_from_slice(&(text.len() as u32).to_le_bytes());
-    out.extend_from_slice(b"JSON");
-    out.extend_from_slice(&text);
-    if !binary.is_empty() {
-        out.extend_from_slice(&(binary.len() as u32).to_le_bytes());
-        out.extend_from_slice(b"BIN\0");
-        out.extend_from_slice(binary);
-    }
-    out
 }

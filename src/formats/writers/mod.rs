@@ -2,6 +2,7 @@
 //! that generate tiles; never called by the threads of the frame.
 
 mod buffers;
+mod container;
 mod glb;
 mod height;
 mod model;
@@ -9,7 +10,8 @@ mod order;
 mod packed_heights;
 mod quantized_mesh;
 
-pub use glb::{GlbMesh, GlbNormalMap, GlbRoughness, container as glb_container, write_compressed_glb, write_glb};
+pub use container::container as glb_container;
+pub use glb::{GlbMesh, GlbNormalMap, GlbRoughness, write_compressed_glb, write_glb};
 pub use height::write_height_exr;
 pub(in crate::formats) use model::{Leaf, LeafShape, Model, write_model};
 pub use packed_heights::write_packed_heights;

@@ -1,7 +1,7 @@
 //! [`BindGroupLayouts`]: the layouts of bind group 0 (frame) and bind group 1 (blocks of the pools) of all pipelines, and
 //! the creation of the samplers of blocks. Created with the device; read on the draw thread.
 
-use super::textures::{address_mode, filter_mode, mipmap_filter_mode};
+use super::wgpu_enums::{address_mode, filter_mode, mipmap_filter_mode};
 use crate::scene::{MetallicRoughness, Sampling};
 use crate::state::FilterMode;
 

@@ -27,6 +27,7 @@ mod slot_table;
 mod splats;
 mod surfaces;
 mod textures;
+mod wgpu_enums;
 
 use std::sync::Arc;
 
@@ -59,10 +60,10 @@ pub(super) use surfaces::MapLayers;
 #[cfg(test)]
 pub(crate) use surfaces::{LayeredRecord, SurfaceRecord};
 pub(crate) use surfaces::{SurfacePool, SurfaceSlot};
-pub(crate) use textures::{
-    FallbackTextures, StateTextureBytes, StateTextures, compare_function, texture_format, view_dimension,
-};
-pub(super) use textures::{TexelEncoding, TextureLayer, TextureRows, block_formats, write_rows};
+pub(crate) use textures::{FallbackTextures, StateTextureBytes, StateTextures};
+pub(super) use textures::{TextureLayer, TextureRows, write_rows};
+pub(super) use wgpu_enums::TexelEncoding;
+pub(crate) use wgpu_enums::{compare_function, texture_format, view_dimension};
 
 /// All pools of a device, and the drawables whose data lies in them.
 pub(crate) struct Pools {

@@ -1,7 +1,7 @@
 //! Removing: pages and requests of a scene, of a context, or all.
 
 use super::DatabasePager;
-use crate::pager::loading::request_list::Request as _;
+use crate::pager::loading::request::Request as _;
 use crate::pager::loading::ticket::RequestEnd;
 use crate::pager::requests::entry::{Entry, Progress};
 use crate::pager::upload::context::CompileContext;

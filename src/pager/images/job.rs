@@ -7,7 +7,7 @@ use crate::fetch;
 use crate::fetch::{IoError, Limits, Loaded};
 use crate::formats::{self, Fetched};
 use crate::pager::loading::job::LoadJob;
-use crate::pager::loading::request_list::Request;
+use crate::pager::loading::request::Request;
 use crate::pager::loading::ticket::Ticket;
 use crate::scene::Texture;
 use crate::trace::{self, Span};

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use super::config::{ImagePagerConfig, ImagePagerStats};
 use super::job::{ImageJob, ImageReader};
 use crate::fetch::IoError;
-use crate::pager::loading::request_list::Request as _;
+use crate::pager::loading::request::Request as _;
 use crate::pager::loading::ticket::{Ticket, TicketIssuer};
 use crate::pager::requests::retry_policy::{RetryPolicy, RetryState, retry_moment};
 use crate::pager::residency::budget::moving_mean;

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::request_list::Request;
+use super::request::Request;
 use crate::fetch::{IoError, Loaded, Permit, RootScope};
 use crate::formats::Fetched;
 #[cfg(feature = "http")]

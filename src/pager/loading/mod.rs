@@ -19,6 +19,7 @@ pub(super) mod http;
 pub(super) mod job;
 pub(super) mod page_job;
 pub(super) mod reaper;
+pub(super) mod request;
 pub(super) mod request_list;
 #[cfg(feature = "http")]
 mod server_limits;

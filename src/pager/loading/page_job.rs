@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
 use super::job::LoadJob;
-use super::request_list::Request;
+use super::request::Request;
 use super::ticket::Ticket;
 #[cfg(feature = "http")]
 use crate::fetch;

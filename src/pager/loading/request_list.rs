@@ -11,41 +11,15 @@
 use std::collections::BTreeMap;
 use std::sync::PoisonError;
 
+use super::request::Request;
 #[cfg(feature = "http")]
 use super::server_limits::ServerLimits;
 use super::ticket::Ticket;
 use super::waiting_jobs::{Source, Urgency, WaitingJobs};
-use crate::fetch::is_remote;
 use crate::sync::primitives::{Condvar, Mutex, MutexGuard};
 
 /// One in this many slots of a server is kept free of prefetches.
 const PREFETCH_FREE_SHARE: usize = 4;
-
-/// A job as the list sees it.
-pub(crate) trait Request: Clone {
-    /// Scenes get slots in turns.
-    type Scene: Copy + Ord + Send;
-
-    /// Returns the identity of this load attempt.
-    fn ticket(&self) -> Ticket;
-    /// Returns the address: a path, or the URL of a remote content.
-    fn uri(&self) -> &str;
-    /// Returns true if a server is asked for the content.
-    fn is_remote(&self) -> bool {
-        is_remote(self.uri())
-    }
-    /// Returns the scene that the content is for.
-    fn scene(&self) -> Self::Scene;
-    /// Returns true if the content is wanted in a later frame only, as of the last update.
-    fn is_prefetch(&self) -> bool;
-    /// Records whether the content is wanted in a later frame only.
-    fn set_prefetch(&mut self, is_prefetch: bool);
-    /// Returns the servers that the content and its companions are requested from: the content's first, each once.
-    #[cfg(feature = "http")]
-    fn servers(&self) -> &[String];
-    /// Records that a thread has taken the job and reads it.
-    fn mark_reading(&self) {}
-}
 
 /// How many jobs may be outstanding; written by update from the budgets.
 #[derive(Clone, Copy, Debug)]

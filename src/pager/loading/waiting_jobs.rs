@@ -13,7 +13,7 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap, HashMap};
 
-use super::request_list::Request;
+use super::request::Request;
 use super::ticket::Ticket;
 #[cfg(feature = "http")]
 use crate::fetch::server;

@@ -52,7 +52,8 @@ mod tests {
     use super::*;
     use crate::pager::loading::job::LoadJob;
     use crate::pager::loading::page_job::tests::job;
-    use crate::pager::loading::request_list::{Request, RequestList};
+    use crate::pager::loading::request::Request;
+    use crate::pager::loading::request_list::RequestList;
     use crate::scene::PagingOptions;
 
     fn entry(uri: &str) -> Entry {

@@ -20,15 +20,3 @@ pub enum Arrangement {
     /// Several views in windows, for `run_views`; a program that shows a single view refuses it.
     Views(ViewsSetup),
 }
-
-/// A window arrangement that is invalid: names the file or variable, the field and the reason.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{source_name}: {field}{}{reason}", if field.is_empty() { "" } else { ": " })]
-pub struct ArrangementError {
-    /// The file or the environment variable.
-    pub source_name: String,
-    /// The path of the field, such as `windows[1].size_px`; empty when the error concerns the whole source.
-    pub field: String,
-    /// Why the value is invalid.
-    pub reason: String,
-}

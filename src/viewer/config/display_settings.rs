@@ -3,8 +3,8 @@
 //! An application reads them once, before it creates a viewer: samples, contexts and stereo cannot change afterwards.
 
 use crate::cull::{Stereo, StereoMode};
+use crate::viewer::camera::FieldOfView;
 use crate::viewer::frame::ViewerConfig;
-use crate::viewer::view::camera::FieldOfView;
 
 /// The kind of screen; OSG's display types.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]

@@ -8,9 +8,10 @@
 
 use std::path::Path;
 
-use super::arrangement::{Arrangement, ArrangementError};
+use super::arrangement::Arrangement;
 use super::file;
 use super::window_setup::{MAX_SIDE_PX, WindowSetup};
+use crate::viewer::ArrangementError;
 
 /// The environment variable that names a file with windows.
 pub const CONFIG_FILE_VARIABLE: &str = "TERRANE_CONFIG_FILE";

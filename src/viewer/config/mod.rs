@@ -14,7 +14,7 @@ mod screens;
 mod view_setup;
 mod window_setup;
 
-pub use arrangement::{Arrangement, ArrangementError};
+pub use arrangement::Arrangement;
 pub use display_settings::{DisplaySettingError, DisplaySettings, DisplayType};
 pub use environment::{CONFIG_FILE_VARIABLE, SCREEN_VARIABLE, WINDOW_VARIABLE};
 #[cfg(feature = "window")]

@@ -2,8 +2,8 @@
 
 use glam::{DAffine3, DMat4};
 
+use crate::viewer::camera::ResizePolicy;
 use crate::viewer::view::Eyes;
-use crate::viewer::view::camera::ResizePolicy;
 use crate::viewer::view::viewport::ViewArea;
 
 /// The longest side that a window or a viewport may have, pixels.

@@ -12,7 +12,7 @@ use super::event::{EventKind, EventSource, GuiEventAdapter, TouchPhase, UserEven
 use super::fingers::{Fingers, MAX_FINGERS};
 use super::input_state::{InputState, Modifiers, YOrientation};
 use super::key::Key;
-use crate::viewer::frame::ReferenceClock;
+use crate::viewer::clock::ReferenceClock;
 
 /// The maximum time between the two presses of a double click, seconds.
 const DOUBLE_CLICK_S: f64 = 0.4;

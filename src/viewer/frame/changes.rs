@@ -8,13 +8,12 @@
 //! rehearsal that lacks nothing   the next frame shows the new environment
 //! ```
 
-use super::frame_loop::{FrameLoop, ViewList};
 use crate::cull::RenderStage;
 use crate::scene::Environment;
 use crate::viewer::ids::ContextId;
 use crate::viewer::paging::SceneList;
 use crate::viewer::rendering::FrameDone;
-use crate::viewer::view::View;
+use crate::viewer::view::{Probe, View, ViewList};
 
 /// When a change of [`View::environment`] takes effect if it needs pipelines that do not exist: shadows or water that are switched on
 /// or off, another kind of sky or haze, other tone mapping. Changes of values, such as the sun's direction, take effect in the next
@@ -38,7 +37,7 @@ pub enum EnvironmentChanges {
 pub(super) type Rehearsals = Vec<(u32, RenderStage, Environment)>;
 
 /// The result of a frame's rehearsals in a context.
-pub(super) struct Rehearsed {
+struct Rehearsed {
     context: ContextId,
     frame: u32,
     /// The number of pipelines that the rehearsed views lack; `None` if none was rehearsed.
@@ -48,42 +47,58 @@ pub(super) struct Rehearsed {
 }
 
 impl Rehearsed {
-    pub(super) fn of(done: &FrameDone) -> Self {
+    fn of(done: &FrameDone) -> Self {
         let in_creation = done.stats.as_ref().map_or(0, |drawn| drawn.pipelines_in_creation);
         let (context, missing) = (ContextId(done.context), done.missing_pipelines);
         Self { context, frame: done.frame, missing, in_creation }
     }
 }
 
-impl FrameLoop {
-    /// Sets when changes take effect, from the next frame on.
-    pub(in crate::viewer) fn set_environment_changes(&mut self, changes: EnvironmentChanges) {
-        self.config.environment_changes = changes;
+/// Decides with which environments views are drawn.
+#[derive(Default)]
+pub(super) struct EnvironmentRehearsals {
+    /// The contexts that show their images in windows.
+    windows: Vec<ContextId>,
+    /// The results of rehearsals in the frames that were drawn since the last update.
+    rehearsed: Vec<Rehearsed>,
+}
+
+impl EnvironmentRehearsals {
+    /// Notes that a context was opened that shows its images in a window.
+    pub fn window_opened(&mut self, context: ContextId) {
+        self.windows.push(context);
     }
 
-    /// Notes whether a context that was opened shows its images in a window.
-    pub(super) fn note_window(&mut self, context: ContextId, is_window: bool) {
-        if is_window {
-            self.windows.push(context);
+    pub fn context_closed(&mut self, context: ContextId) {
+        self.windows.retain(|of| *of != context);
+    }
+
+    /// Takes the results of a drawn frame.
+    pub fn take(&mut self, done: &FrameDone) {
+        self.rehearsed.push(Rehearsed::of(done));
+    }
+
+    fn waits_for_pipelines(&self, changes: EnvironmentChanges, view: &View) -> bool {
+        match changes {
+            EnvironmentChanges::ReadyInWindows => view.contexts().any(|of| self.windows.contains(&of)),
+            EnvironmentChanges::WhenReady => true,
+            EnvironmentChanges::AtOnce => false,
         }
     }
 
-    fn waits_for_pipelines(&self, view: &View) -> bool {
-        !self.config.pager.blocking
-            && match self.config.environment_changes {
-                EnvironmentChanges::ReadyInWindows => view.contexts().any(|of| self.windows.contains(&of)),
-                EnvironmentChanges::WhenReady => true,
-                EnvironmentChanges::AtOnce => false,
-            }
-    }
-
-    /// Decides with which environment each view is drawn in this frame. Returns the views whose changes it rehearses.
-    pub(super) fn follow_environments(&mut self, views: &mut ViewList, scenes: &SceneList) -> Rehearsals {
+    /// Decides with which environment each view is drawn in a frame. Returns the views whose changes it rehearses.
+    pub fn follow_environments(
+        &mut self,
+        changes: EnvironmentChanges,
+        frame: u32,
+        views: &mut ViewList,
+        scenes: &SceneList,
+        probe: &mut Probe,
+    ) -> Rehearsals {
         self.take_rehearsed(views);
         let mut rehearsals = Vec::new();
-        let frame = self.stamp().frame;
         for view in views.values_mut() {
-            let waits = self.waits_for_pipelines(view);
+            let waits = self.waits_for_pipelines(changes, view);
             view.shown.follow(&view.environment, waits);
             if !view.shown.wants_rehearsal() {
                 continue;
@@ -94,8 +109,8 @@ impl FrameLoop {
             for (camera, context) in cameras {
                 let Some(mut task) = view.task(camera, paged, frame, Vec::new()) else { continue };
                 task.environment = view.environment;
-                self.probe.cull(task);
-                rehearsals.push((context.0, self.probe.take_stage(), view.environment));
+                probe.cull(task);
+                rehearsals.push((context.0, probe.take_stage(), view.environment));
                 contexts.push(context);
             }
             contexts.sort_unstable();

@@ -2,14 +2,14 @@
 
 use std::time::Instant;
 
-use super::changes::Rehearsed;
 use super::draw_results::ContextFigures;
-use super::frame_loop::{ARRIVAL_POLL, FrameLoop, ViewList};
+use super::frame_loop::{ARRIVAL_POLL, FrameLoop};
 use crate::gpu::GpuError;
 use crate::trace;
 use crate::viewer::ViewerError;
 use crate::viewer::paging::{PagerGroup, SceneList};
 use crate::viewer::rendering::{FRAMES_IN_FLIGHT, FrameDone, millis};
+use crate::viewer::view::ViewList;
 
 impl FrameLoop {
     /// Takes the frames that have been drawn, without waiting.
@@ -76,7 +76,7 @@ impl FrameLoop {
 
     /// Takes the results of a drawn frame. The loss of a device is noted; the next frame reports it and replaces the device.
     fn collect(&mut self, done: FrameDone) -> Result<(), ViewerError> {
-        self.rehearsed.push(Rehearsed::of(&done));
+        self.rehearsals.take(&done);
         let (context, frame, next_frame) = (done.context, done.frame, self.stamp().frame + 1);
         if !self.rendering.overlaps() {
             self.results.add_read_back_ms(done.read_back_ms);

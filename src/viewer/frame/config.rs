@@ -10,8 +10,8 @@ use crate::cull::Stereo;
 use crate::gpu::{AdapterChoice, CompileBudget, CompilePace, ContextTraits, GraphicsContext};
 use crate::pager::PagerConfig;
 use crate::sync::Operation;
+use crate::viewer::camera::FieldOfView;
 use crate::viewer::rendering::ThreadingModel;
-use crate::viewer::view::camera::FieldOfView;
 
 /// Settings of a viewer. They are read once, when the viewer is made. More than 16 fields: one for each setting.
 #[derive(Clone, Debug)]

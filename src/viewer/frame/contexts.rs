@@ -3,7 +3,7 @@
 
 use image::RgbaImage;
 
-use super::frame_loop::{FrameLoop, ViewList};
+use super::frame_loop::FrameLoop;
 use crate::draw::ViewChange;
 use crate::gpu::{ContextTraits, GpuError, GraphicsContext};
 use crate::viewer::ViewerError;
@@ -11,7 +11,7 @@ use crate::viewer::ids::{ContextId, SlaveId};
 use crate::viewer::paging::SceneList;
 use crate::viewer::rendering::{Closed, DeviceHandle};
 use crate::viewer::view::viewport::ViewArea;
-use crate::viewer::view::{CameraSlot, Slave, View};
+use crate::viewer::view::{CameraSlot, Slave, View, ViewList};
 
 impl FrameLoop {
     fn check_context_limit(&self) -> Result<(), ViewerError> {
@@ -54,7 +54,9 @@ impl FrameLoop {
             return Err(error);
         }
         self.pagers.device_opened(scenes, number, &mut self.rendering)?;
-        self.note_window(ContextId(number), is_window);
+        if is_window {
+            self.rehearsals.window_opened(ContextId(number));
+        }
         Ok(ContextId(number))
     }
 
@@ -74,7 +76,9 @@ impl FrameLoop {
             Ok(())
         };
         let id = self.rendering.add_context_on(other.0, traits, self.stamp().frame, add).map(ContextId)?;
-        self.note_window(id, is_window);
+        if is_window {
+            self.rehearsals.window_opened(id);
+        }
         Ok(id)
     }
 
@@ -95,7 +99,7 @@ impl FrameLoop {
             return Ok(false);
         }
         self.pictures.forget_context(id.0);
-        self.windows.retain(|of| *of != id);
+        self.rehearsals.context_closed(id);
         views.values_mut().for_each(|view| view.context_closed(id.0));
         if let Closed::Device(device) = closed {
             // If another device is lost too, its next frame reports that.

@@ -13,8 +13,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::changes::{Rehearsals, Rehearsed};
-use super::clock::{FrameStamp, FrameTimer};
+use super::changes::{EnvironmentChanges, EnvironmentRehearsals, Rehearsals};
 use super::config::ViewerConfig;
 use super::device_loss::DeviceLoss;
 use super::draw_results::DrawResults;
@@ -25,18 +24,16 @@ use crate::cull::CullCamera;
 use crate::gpu::{CompileBudget, GpuError};
 use crate::trace::{self, Span};
 use crate::viewer::ViewerError;
-use crate::viewer::ids::{ContextId, KeyedList, ViewId};
+use crate::viewer::clock::{FrameStamp, FrameTimer};
+use crate::viewer::ids::ContextId;
 use crate::viewer::paging::{EarlyLook, LookAheads, LookFrom, PagedScene, PagerGroup, Pagers, SceneList, load_all};
 use crate::viewer::rendering::{CullOutcome, CullTask, FrameJob, Rendering, ThreadingModel, millis};
-use crate::viewer::view::{Probe, View};
+use crate::viewer::view::{Probe, ViewList};
 
 /// The interval at which arrived pages are merged while the main thread waits for the draw thread.
 pub(super) const ARRIVAL_POLL: Duration = Duration::from_micros(300);
 /// The time slice of each of several pagers that work between frames.
 const WORK_SLICE: Duration = Duration::from_millis(2);
-
-/// The views of a viewer.
-pub(in crate::viewer) type ViewList = KeyedList<ViewId, View>;
 
 /// Everything that a viewer needs for its frames besides its views and scenes, which it passes in.
 pub(in crate::viewer) struct FrameLoop {
@@ -57,10 +54,7 @@ pub(in crate::viewer) struct FrameLoop {
     pub(super) query_answers: QueryAnswers,
     pub(in crate::viewer) results: DrawResults,
     pub(super) pictures: PictureRequests,
-    /// The contexts that show their images in windows.
-    pub(super) windows: Vec<ContextId>,
-    /// The results of rehearsals in the frames that were drawn since the last update.
-    pub(super) rehearsed: Vec<Rehearsed>,
+    pub(super) rehearsals: EnvironmentRehearsals,
 }
 
 /// A frame between its event phase and rendering.
@@ -105,8 +99,7 @@ impl FrameLoop {
             query_answers: QueryAnswers::default(),
             results: DrawResults::new(config.history_frames),
             pictures: PictureRequests::default(),
-            windows: Vec::new(),
-            rehearsed: Vec::new(),
+            rehearsals: EnvironmentRehearsals::default(),
             config,
         })
     }
@@ -118,6 +111,11 @@ impl FrameLoop {
     /// Sets [`ViewerConfig::compile_budget`] from the next frame on.
     pub(in crate::viewer) fn set_compile_budget(&mut self, budget: CompileBudget) {
         self.config.compile_budget = budget;
+    }
+
+    /// Sets [`ViewerConfig::environment_changes`] from the next frame on.
+    pub(in crate::viewer) fn set_environment_changes(&mut self, changes: EnvironmentChanges) {
+        self.config.environment_changes = changes;
     }
 
     pub(in crate::viewer) fn stamp(&self) -> FrameStamp {
@@ -224,7 +222,9 @@ impl FrameLoop {
         for view in views.values_mut() {
             view.prepare(&self.rendering, scenes[view.scene()].bounds());
         }
-        let rehearsals = self.follow_environments(views, scenes);
+        let changes = if self.is_blocking() { EnvironmentChanges::AtOnce } else { self.config.environment_changes };
+        let frame = self.stamp().frame;
+        let rehearsals = self.rehearsals.follow_environments(changes, frame, views, scenes, &mut self.probe);
         if self.is_blocking() {
             let stamp = self.stamp();
             for group in self.pagers.iter_mut() {

@@ -7,9 +7,9 @@
 //! - `DrawResults`: statistics and errors
 //! - `DeviceLoss`: lost devices and their replacement
 //! - `QueryAnswers`: results of occlusion queries that are awaited
+//! - `EnvironmentRehearsals`: the environments that views show
 
 mod changes;
-mod clock;
 mod collect;
 mod config;
 mod contexts;
@@ -22,8 +22,6 @@ mod snapshot;
 mod stats;
 
 pub use self::changes::EnvironmentChanges;
-pub use self::clock::FrameStamp;
-pub(super) use self::clock::ReferenceClock;
 pub use self::config::ViewerConfig;
-pub(super) use self::frame_loop::{FrameLoop, ViewList};
+pub(super) use self::frame_loop::FrameLoop;
 pub use self::stats::{FrameStats, Samples, StatsHistory};

@@ -1,7 +1,8 @@
 //! [`CreditsHandler`]: shows attributions at the lower edge of the image.
 
 use crate::viewer::GuiActionAdapter;
-use crate::viewer::events::{EventMask, GuiEventAdapter, GuiEventHandler};
+use crate::viewer::events::{EventMask, GuiEventAdapter};
+use crate::viewer::input::GuiEventHandler;
 
 /// The number of frames after which the line is made again.
 const FRAMES: u32 = 20;

@@ -1,7 +1,8 @@
 //! [`HelpHandler`]: shows the keys over the image.
 
 use crate::viewer::GuiActionAdapter;
-use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
+use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, Key, Usage};
+use crate::viewer::input::GuiEventHandler;
 
 const KEYS: Bindings<()> = Bindings(&[(&[Key::Char('h'), Key::F(1)], (), "help")]);
 

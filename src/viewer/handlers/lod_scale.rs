@@ -1,7 +1,8 @@
 //! [`LodScaleHandler`]: more or less detail.
 
 use crate::viewer::GuiActionAdapter;
-use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
+use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, Key, Usage};
+use crate::viewer::input::GuiEventHandler;
 
 const KEYS: Bindings<f64> = Bindings(&[
     (&[Key::Char('*'), Key::Char('>')], 1.0 / STEP, "more detail"),

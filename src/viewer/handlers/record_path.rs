@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use crate::viewer::GuiActionAdapter;
 use crate::viewer::camera_path::{AnimationPath, ControlPoint, PathError};
-use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
+use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, Key, Usage};
+use crate::viewer::input::GuiEventHandler;
 use crate::viewer::manipulators::{AnimationPathManipulator, CameraManipulator, ManipulatorView};
 
 #[derive(Clone, Copy, Debug)]

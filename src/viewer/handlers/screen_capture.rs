@@ -8,7 +8,8 @@ use std::thread::JoinHandle;
 use image::RgbaImage;
 
 use crate::viewer::GuiActionAdapter;
-use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
+use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, Key, Usage};
+use crate::viewer::input::GuiEventHandler;
 
 #[derive(Clone, Copy, Debug)]
 enum Action {

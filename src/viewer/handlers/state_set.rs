@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use crate::state::{Attribute, Mode, PolygonMode, StateSet, StateValue, TEXTURE_UNITS};
 use crate::viewer::GuiActionAdapter;
-use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
+use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, Key, Usage};
+use crate::viewer::input::GuiEventHandler;
 
 #[derive(Clone, Copy, Debug)]
 enum Action {

@@ -1,7 +1,8 @@
 //! [`WindowSizeHandler`]: full screen and window sizes.
 
 use crate::viewer::GuiActionAdapter;
-use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
+use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, Key, Usage};
+use crate::viewer::input::GuiEventHandler;
 use crate::viewer::input::WindowCommand;
 
 #[derive(Clone, Copy, Debug)]

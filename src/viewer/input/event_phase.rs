@@ -1,8 +1,9 @@
 //! The event phase, and the manipulator's step in the update phase.
 
 use super::action_adapter::GuiActionAdapter;
+use super::handler::GuiEventHandler;
 use super::state::WindowCommand;
-use crate::viewer::events::{EventKind, GuiEventAdapter, GuiEventHandler, Key};
+use crate::viewer::events::{EventKind, GuiEventAdapter, Key};
 
 impl GuiActionAdapter<'_> {
     /// Runs the event phase: hands the queued events to handlers, manipulator and event callbacks.

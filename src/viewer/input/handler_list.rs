@@ -1,6 +1,6 @@
 //! [`HandlerList`]: the event handlers of a view, in the order they are called.
 
-use crate::viewer::events::GuiEventHandler;
+use super::handler::GuiEventHandler;
 
 /// Event handlers, each of which may change the list while it runs.
 ///

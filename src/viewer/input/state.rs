@@ -7,9 +7,9 @@ use glam::DVec2;
 use super::camera_motion::CameraMotion;
 use super::handler_list::HandlerList;
 use crate::state::StateSet;
+use crate::viewer::clock::{FrameStamp, ReferenceClock};
 use crate::viewer::config::Arrangement;
 use crate::viewer::events::{EventQueue, GuiEventAdapter, Key};
-use crate::viewer::frame::{FrameStamp, ReferenceClock};
 use crate::viewer::ids::ContextId;
 #[cfg(feature = "window")]
 use crate::viewer::overlay::Overlay;

@@ -4,12 +4,13 @@ use std::sync::Arc;
 
 use glam::DVec2;
 
+use super::handler::GuiEventHandler;
 use super::state::{ViewEvent, ViewUpdate, WindowCommand};
 use super::window_matrix::{WindowMatrix, WindowRay};
 use crate::state::StateSet;
+use crate::viewer::clock::FrameStamp;
 use crate::viewer::config::{Arrangement, WindowSetup};
-use crate::viewer::events::{EventQueue, GuiEventAdapter, GuiEventHandler, Key, Usage, UserEvents, YOrientation};
-use crate::viewer::frame::FrameStamp;
+use crate::viewer::events::{EventQueue, GuiEventAdapter, Key, Usage, UserEvents, YOrientation};
 use crate::viewer::manipulators::{CameraManipulator, GroundHeight};
 use crate::viewer::view::View;
 

@@ -4,7 +4,7 @@
 
 use glam::{DMat4, DVec2, DVec3, DVec4};
 
-use crate::viewer::view::camera::Camera;
+use crate::viewer::camera::Camera;
 
 /// The viewport of a camera in its window, and the projection from the world into it.
 #[derive(Clone, Copy, Debug, PartialEq)]

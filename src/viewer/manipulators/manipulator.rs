@@ -3,8 +3,8 @@
 use glam::{DAffine3, DVec3};
 
 use crate::scene::Scene;
+use crate::viewer::camera::Camera;
 use crate::viewer::events::{GuiEventAdapter, Usage};
-use crate::viewer::view::camera::Camera;
 use crate::viewer::view::set_bounds::{LocalFrame, SetBounds};
 
 /// A source of ground heights for manipulators that stay above the ground: [`SceneGround`](super::SceneGround), or a closure.

@@ -7,10 +7,8 @@
 mod layout;
 mod paint;
 mod painter;
-mod window_input;
 
 pub use layout::Overlay;
 pub(super) use layout::notice;
 pub use paint::OverlayPaint;
 pub use painter::OverlayPainter;
-pub(super) use window_input::OverlayInput;

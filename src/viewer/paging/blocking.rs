@@ -1,10 +1,10 @@
 //! The blocking mode: each update loads until the views lack nothing, so that frames do not depend on timing. Main thread.
 
 use super::{PagedScene, PagerGroup, SceneList};
-use crate::viewer::frame::FrameStamp;
-use crate::viewer::ids::{KeyedList, SceneId, ViewId};
+use crate::viewer::clock::FrameStamp;
+use crate::viewer::ids::SceneId;
 use crate::viewer::rendering::Rendering;
-use crate::viewer::view::{Probe, View};
+use crate::viewer::view::{Probe, ViewList};
 
 /// Rounds of cull and load in one frame. It limits the depth of the tree of tilesets that is followed.
 const MAX_ROUNDS: u32 = 256;
@@ -13,7 +13,7 @@ const MAX_ROUNDS: u32 = 256;
 /// milliseconds of paging.
 pub(in crate::viewer) fn load_all(
     group: &mut PagerGroup,
-    views: &KeyedList<ViewId, View>,
+    views: &ViewList,
     scenes: &mut SceneList,
     rendering: &mut Rendering,
     probe: &mut Probe,
@@ -33,13 +33,7 @@ pub(in crate::viewer) fn load_all(
 }
 
 /// Finds the requests of all scenes of a group.
-fn cull_all(
-    group: &PagerGroup,
-    views: &KeyedList<ViewId, View>,
-    scenes: &mut SceneList,
-    probe: &mut Probe,
-    frame: u32,
-) {
+fn cull_all(group: &PagerGroup, views: &ViewList, scenes: &mut SceneList, probe: &mut Probe, frame: u32) {
     for id in group.members() {
         if let Some(scene) = scenes.get_mut(*id) {
             cull_scene(*id, scene, views, probe, frame);
@@ -48,7 +42,7 @@ fn cull_all(
 }
 
 /// Culls a scene from all cameras that show it, without drawing.
-fn cull_scene(id: SceneId, scene: &mut PagedScene, views: &KeyedList<ViewId, View>, probe: &mut Probe, frame: u32) {
+fn cull_scene(id: SceneId, scene: &mut PagedScene, views: &ViewList, probe: &mut Probe, frame: u32) {
     scene.findings_mut().begin_cull();
     for view in views.values().filter(|view| view.scene() == id) {
         for camera in view.cameras() {

@@ -7,8 +7,7 @@
 use std::time::{Duration, Instant};
 
 use super::{PagerGroup, SceneList};
-use crate::viewer::ids::{KeyedList, ViewId};
-use crate::viewer::view::{Probe, View};
+use crate::viewer::view::{Probe, ViewList};
 
 /// After a look the next one waits this many times as long as the look took: looks take a fifth of the waiting time at most.
 const PAUSE_FACTOR: u32 = 4;
@@ -32,7 +31,7 @@ impl EarlyLook {
     pub(in crate::viewer) fn look(
         &mut self,
         group: &mut PagerGroup,
-        views: &KeyedList<ViewId, View>,
+        views: &ViewList,
         scenes: &SceneList,
         probe: &mut Probe,
         frame: u32,

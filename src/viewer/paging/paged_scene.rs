@@ -14,7 +14,7 @@ use crate::math::{BoundingVolume, Ellipsoid};
 use crate::pager::{DatabasePager, ImagePager, ImagePagerConfig, ImageSequence, PagerConfig};
 use crate::scene::{DrawSlot, Page, PageId, ReaderData, Scene, UpdateInfo};
 use crate::viewer::ViewerError;
-use crate::viewer::frame::FrameStamp;
+use crate::viewer::clock::FrameStamp;
 use crate::viewer::ids::PagerId;
 use crate::viewer::rendering::{Rendering, UploadOwner};
 use crate::viewer::view::set_bounds::{SetBounds, part_of_globe, root_volume};

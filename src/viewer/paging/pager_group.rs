@@ -12,7 +12,7 @@ use crate::formats::OverlaySet;
 use crate::pager::{DatabasePager, SceneSet};
 use crate::scene::Scene;
 use crate::viewer::ViewerError;
-use crate::viewer::frame::FrameStamp;
+use crate::viewer::clock::FrameStamp;
 use crate::viewer::ids::SceneId;
 use crate::viewer::rendering::{Rendering, millis};
 

@@ -8,7 +8,7 @@ use glam::{DMat3, DVec3};
 use image::RgbaImage;
 
 use crate::math::{BoundingVolume, Ellipsoid, OrientedBox, Region};
-use crate::viewer::view::camera::Camera;
+use crate::viewer::camera::Camera;
 use crate::viewer::view::set_bounds::SetBounds;
 
 /// The background colour while holes or coverage are counted, sRGB.

@@ -16,10 +16,10 @@ use glam::DAffine3;
 
 use self::warp_pass::{FACES, FaceImages, WarpPass};
 use super::ViewerError;
+use super::camera::FieldOfView;
 use super::composite::CompositeViewer;
 use super::ids::{ContextId, SlaveId, ViewId};
 use super::view::Slave;
-use super::view::camera::FieldOfView;
 use super::view::viewport::ViewArea;
 use crate::gpu::ContextTraits;
 

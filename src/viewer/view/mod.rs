@@ -1,7 +1,6 @@
 //! A view: the master camera with its lens and viewport, the slave cameras beside it, and the extent of the scene that
 //! it shows. Main thread.
 
-pub(super) mod camera;
 mod eyes;
 mod picking;
 mod probe;
@@ -17,3 +16,8 @@ pub(super) use probe::Probe;
 pub(super) use slaves::CameraSlot;
 pub use slaves::Slave;
 pub use view::View;
+
+use super::ids::{KeyedList, ViewId};
+
+/// The views of a viewer.
+pub(super) type ViewList = KeyedList<ViewId, View>;

@@ -3,11 +3,10 @@
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 
-use super::camera::{Camera, world_from_eye};
-
 use crate::formats;
 use crate::math::{BoundingSphere, BoundingVolume, Ellipsoid, OrientedBox, Region, WGS84};
 use crate::scene::{DistanceFog, Environment, Page};
+use crate::viewer::camera::{Camera, world_from_eye};
 use crate::viewer::camera_path::{AnimationPath, ControlPoint};
 
 /// A set counts as body-centred when the centre of its bounding sphere is farther than this from the origin, equatorial radii:

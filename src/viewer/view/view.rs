@@ -3,7 +3,6 @@
 use crate::state::OpaqueDrawData;
 use glam::{DAffine3, DMat4};
 
-use super::camera::Camera;
 use super::eyes::{EyeTargets, Eyes};
 use super::set_bounds::{LocalFrame, SetBounds, ViewFrom, environment_for};
 use super::shown_environment::ShownEnvironment;
@@ -13,7 +12,8 @@ use crate::cull::{CullCamera, PageRequest, Stereo};
 use crate::draw::CameraCallbacks;
 use crate::scene::{ClampProjection, CullSettings, Environment};
 use crate::viewer::AnimationPath;
-use crate::viewer::frame::ReferenceClock;
+use crate::viewer::camera::Camera;
+use crate::viewer::clock::ReferenceClock;
 use crate::viewer::ids::{ContextId, SceneId, SlaveId};
 use crate::viewer::input::Input;
 use crate::viewer::paging::PagedScene;

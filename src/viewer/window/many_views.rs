@@ -11,6 +11,7 @@ use winit::event_loop::{ActiveEventLoop, ControlFlow};
 use winit::keyboard::PhysicalKey;
 use winit::window::{Window, WindowId};
 
+use super::overlay_input::OverlayInput;
 use super::pacing::Pacing;
 use super::{events as window_events, open as window_open};
 use crate::gpu::GraphicsContext;
@@ -19,12 +20,12 @@ use crate::viewer::arranged_views::ArrangedViews;
 use crate::viewer::composite::CompositeViewer;
 use crate::viewer::config::{Arrangement, Screen, ViewsSetup};
 use crate::viewer::display;
+
 use crate::viewer::frame::ViewerConfig;
 use crate::viewer::handlers::{self, StatsPage};
 use crate::viewer::ids::{ContextId, ViewId};
 use crate::viewer::input::WindowCommand;
 use crate::viewer::manipulators::{self, SceneGround};
-use crate::viewer::overlay::OverlayInput;
 use crate::viewer::paging::LoadedRoot;
 
 /// A callback that runs once, after windows and views were created.

@@ -16,6 +16,7 @@ pub(super) mod events;
 mod many_views;
 mod one_view;
 mod open;
+mod overlay_input;
 mod pacing;
 mod parent;
 mod slave_window;

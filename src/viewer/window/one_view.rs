@@ -10,21 +10,22 @@ use winit::event_loop::{ActiveEventLoop, ControlFlow};
 use winit::window::WindowId;
 
 use super::open::WindowOfContext;
+use super::overlay_input::OverlayInput;
 use super::pacing::Pacing;
 use super::parent::{Followed, ParentChange, ParentWindow};
 use super::slave_window::SlaveWindow;
 use super::{events as window_events, open as window_open};
 use crate::gpu::GraphicsContext;
-use crate::viewer::ViewerError;
 use crate::viewer::camera_path::AnimationPath;
-use crate::viewer::config::{Arrangement, ArrangementError, Screen};
+use crate::viewer::config::{Arrangement, Screen};
 use crate::viewer::display;
+use crate::viewer::{ArrangementError, ViewerError};
+
 use crate::viewer::frame::ViewerConfig;
 use crate::viewer::handlers::{self, StatsPage};
 use crate::viewer::ids::ContextId;
 use crate::viewer::input::WindowCommand;
 use crate::viewer::manipulators::{self, SceneGround};
-use crate::viewer::overlay::OverlayInput;
 use crate::viewer::viewer::Viewer;
 
 /// A callback that runs once, after the first window has opened.

@@ -16,6 +16,7 @@ use crate::viewer::ViewerError;
 use crate::viewer::composite::CompositeViewer;
 use crate::viewer::config::{Arrangement, CameraSetup, Screen, WindowSetup, across_screens, one_eye_per_screen};
 use crate::viewer::display::reason_of;
+
 use crate::viewer::frame::ViewerConfig;
 use crate::viewer::ids::{ContextId, SlaveId, ViewId};
 use crate::viewer::input::{MouseCursor, WindowCommand};

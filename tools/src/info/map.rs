@@ -4,9 +4,10 @@ use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
 use anyhow::{Context as _, Result, ensure};
-use clap::ValueEnum;
 use image::{Rgb, RgbImage};
 use terrane::formats::{MapFrame, SurveyedTile};
+
+use crate::args::MapOf;
 
 /// The longer side of the map in pixels.
 const SIDE_PX: u32 = 1024;
@@ -18,20 +19,6 @@ const MAX_TILES: usize = 5_000_000;
 const MIN_OUTLINED_PX: f64 = 6.0;
 const BACKGROUND: Rgb<u8> = Rgb([24, 26, 30]);
 const TEXT: Rgb<u8> = Rgb([235, 235, 235]);
-
-/// What the colours of a map mean.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum MapOf {
-    /// The finest level at each place
-    #[default]
-    Levels,
-    /// The error of the finest tile that has one: with --verify the measured one where it is known
-    Error,
-    /// The bytes of the finest tile
-    Bytes,
-    /// The tiles with problems, in red
-    Problems,
-}
 
 #[derive(Clone, Copy)]
 struct Tile {

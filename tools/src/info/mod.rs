@@ -18,8 +18,6 @@ use crate::args::InfoArgs;
 use crate::net::Opened;
 use crate::values::shown_bytes;
 
-pub use self::map::MapOf;
-
 pub fn run(args: &InfoArgs) -> Result<()> {
     if services::is_template(&args.source) {
         return print(&services::of_template(args)?, args);

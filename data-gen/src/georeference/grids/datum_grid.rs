@@ -8,11 +8,11 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use proj4rs::nadgrids::{catalog, formats};
+use terrane::math::random::fnv1a;
 
 use super::super::projection::OWN_GRID;
 use super::grid_tiff::{self, GridImage};
 use crate::GenError;
-use crate::pyramid::checksum;
 
 const HEADER_BYTES: usize = 11 * 16;
 const RECORD_BYTES: usize = 16;
@@ -46,7 +46,7 @@ impl DatumGrid {
             bytes = ntv2_of_tiff(path)?;
         }
         check(&bytes).map_err(bad)?;
-        let name = format!("{OWN_GRID}{:016x}", checksum(&bytes));
+        let name = format!("{OWN_GRID}{:016x}", fnv1a(&bytes));
         // The crate keeps all grids until the program ends.
         if !catalog::find_grids(&name, &mut Vec::new()) {
             let added = catalog::with_catalog(|grids| formats::read(grids, &name, &mut Cursor::new(&bytes)));

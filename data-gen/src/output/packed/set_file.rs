@@ -11,7 +11,7 @@ use flate2::write::GzEncoder;
 use super::block_file::{ReadBlock, blocks_of};
 use super::entry::{ENTRY_BYTES, Entry, key_of_name, level_of};
 use crate::GenError;
-use crate::output::finish::each_folder;
+use crate::output::set_files::each_folder;
 
 /// The first bytes of a packed set.
 pub(in crate::output) const MAGIC: &[u8; 8] = b"TERRPACK";

@@ -26,7 +26,7 @@ use self::layer::{layer_json, metadata_json};
 use super::encoding::Triangles;
 use super::journal::{CompleteTile, Inputs, Journal, TileList};
 use super::mesh::curvature_m;
-use super::tile_set::write_whole;
+use super::set_files::write_whole;
 use super::tin::Tin;
 use crate::pyramid::{CELLS, TileKey};
 use crate::update::TerrainUpdate;

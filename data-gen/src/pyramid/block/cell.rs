@@ -5,7 +5,8 @@
 
 use terrane::math::WGS84;
 
-use crate::pyramid::grid::{Extent, Grid};
+use crate::Extent;
+use crate::pyramid::grid::Grid;
 use crate::pyramid::samples::{Samples, Window};
 use crate::pyramid::tile::{CELLS, TileKey};
 

@@ -5,8 +5,8 @@ use rayon::prelude::*;
 use super::Block;
 use super::cell::{Bulge, Cell, CellRow};
 use crate::GenError;
-use crate::pyramid::dependencies::HeightAt;
 use crate::pyramid::grid::QUANTUM_M;
+use crate::pyramid::samples::HeightAt;
 use crate::pyramid::samples::Window;
 use crate::pyramid::tile::{CELLS, Coverage, TileFacts, TileKey};
 
@@ -192,7 +192,7 @@ impl Block<'_> {
 
     /// Returns the largest distance between a tile's triangles and the finest samples.
     fn measure_tile(&self, key: TileKey) -> f64 {
-        let stride = 1i64 << key.depth(self.grid);
+        let stride = 1i64 << key.depth(self.grid.levels);
         let first = [key.x, key.y].map(|c| i64::from(c) * CELLS as i64);
         let (heights, finest) = (self.heights(key.level), self.measured());
         let (mut error_m, mut rises) = (0.0f64, Vec::with_capacity(CELLS));

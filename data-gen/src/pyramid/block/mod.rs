@@ -13,13 +13,13 @@ use self::cell::Bulge;
 pub(crate) use self::cell::distance_to_finer_m;
 use super::dependencies::Dependencies;
 use super::fill::BOX;
-use super::grid::{Extent, Grid};
+use super::grid::Grid;
 use super::plan::Layer;
 use super::record::{Record, Totals};
 use super::samples::{Samples, Window};
 use super::surface::Surface;
 use super::tile::{CELLS, Coverage, TileFacts, TileKey};
-use crate::{GenError, Voids};
+use crate::{Extent, GenError, Voids};
 
 /// The samples around a tile that its ambient shading needs, on the lattice of its vertices.
 const AMBIENT_MARGIN: i64 = 17;
@@ -331,7 +331,7 @@ impl<'a> Block<'a> {
     /// in metres.
     pub fn edge_step_m(&self, key: TileKey) -> f64 {
         let last = CELLS as i64;
-        let stride = 1i64 << key.depth(self.grid);
+        let stride = 1i64 << key.depth(self.grid.levels);
         let edges: [[[i64; 2]; 2]; 4] = [[[0, 0], [1, 0]], [[0, last], [1, 0]], [[0, 0], [0, 1]], [[last, 0], [0, 1]]];
         let mut step_m = 0.0f64;
         for ([x, y], [dx, dy]) in edges.map(|[start, along]| (start, along)) {

@@ -7,7 +7,7 @@ mod zip;
 
 use std::path::Path;
 
-use crate::fetch::archive::names::{is_packed, is_pmtiles};
+use crate::fetch::archive_names::{is_packed, is_pmtiles};
 use crate::fetch::{IoError, Limits};
 use packed::LocalPacked;
 use pmtiles::LocalPmtiles;

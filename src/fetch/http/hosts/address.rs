@@ -4,6 +4,8 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
 use url::{Host, Url};
 
+use crate::fetch::http::config::host_of;
+
 /// Returns the kind of an address that is not public, such as `loopback`; `None` for a public one. An IPv4 address inside an
 /// IPv6 address (mapped, 6to4, NAT64) counts as itself.
 pub(super) fn local_kind(address: IpAddr) -> Option<&'static str> {
@@ -67,11 +69,6 @@ pub(super) fn written_address(url: &Url) -> Option<IpAddr> {
             is_this_machine.then_some(Ipv4Addr::LOCALHOST.into())
         }
     }
-}
-
-/// Returns the host of an http(s) URL without the dot that may end a name; in brackets if it is an IPv6 address.
-pub(super) fn host_of(url: &Url) -> &str {
-    url.host_str().unwrap_or_default().trim_end_matches('.')
 }
 
 #[cfg(test)]

@@ -9,13 +9,12 @@ use hyper_util::client::proxy::matcher::Matcher;
 use reqwest::Certificate;
 use url::Url;
 
-use super::address::{host_of, local_kind, written_address};
-use super::allowed::AllowedHost;
+use super::address::{local_kind, written_address};
 use super::dns::{DnsResolver, PoolResolver, Reach, RefusedAddress};
 use crate::fetch::IoError;
-use crate::fetch::http::config::HttpConfig;
+use crate::fetch::http::config::{AllowedHost, HttpConfig, host_of};
 use crate::fetch::http::cookies::Cookies;
-use crate::fetch::http::exchange::error_chain_without_url;
+use crate::fetch::http::error_chain::error_chain_without_url;
 use crate::fetch::http::tls;
 
 /// The pools of connections of a client. Their cookies and DNS queries are shared.

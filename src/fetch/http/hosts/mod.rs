@@ -14,11 +14,9 @@
 //! resolver; they are checked before the request.
 
 mod address;
-mod allowed;
 mod connections;
 mod dns;
 
-pub use allowed::AllowedHost;
 pub(in crate::fetch) use connections::Connections;
 pub(super) use connections::refused;
 pub(super) use dns::{DnsResolver, RefusedAddress};

@@ -11,6 +11,9 @@ use crate::fetch::IoError;
 use crate::formats::gltf::context::Context;
 use crate::formats::gltf::external::data_uri;
 
+/// The note about a primitive that cannot be drawn without a file that is missing.
+pub(in super::super) const BUFFER_MISSING: &str = "glTF: primitive that is not drawn because its buffer is missing";
+
 /// The bytes of all buffers.
 pub(in super::super) struct Buffers<'a> {
     context: &'a Context<'a>,

@@ -9,6 +9,6 @@ mod meshopt;
 mod quantized;
 mod sparse;
 
-pub(super) use buffers::Buffers;
+pub(super) use buffers::{BUFFER_MISSING, Buffers};
 pub(super) use elements::{Elements, attribute_format, columns_and_rows};
 pub(super) use indices::{IndexLists, list_key_of};

@@ -12,6 +12,5 @@ mod reader;
 mod skin;
 mod vertices;
 
-pub(super) use primitive::BUFFER_MISSING;
 pub(super) use reader::MeshReader;
 pub(super) use skin::SkinPose;

@@ -7,11 +7,8 @@ use gltf::mesh::Semantic;
 
 use super::draco::{Compressed, DracoMesh};
 use crate::fetch::IoError;
-use crate::formats::gltf::accessors::{Buffers, Elements};
+use crate::formats::gltf::accessors::{BUFFER_MISSING, Buffers, Elements};
 use crate::formats::gltf::context::Context;
-
-/// The note about a primitive that cannot be drawn without a file that is missing.
-pub(in super::super) const BUFFER_MISSING: &str = "glTF: primitive that is not drawn because its buffer is missing";
 
 /// The attributes and indices of a primitive.
 pub(super) struct PrimitiveData<'a> {

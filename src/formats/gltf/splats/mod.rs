@@ -13,9 +13,8 @@ use std::sync::Arc;
 use gltf::Document;
 use serde_json::Value;
 
-use super::accessors::Buffers;
+use super::accessors::{BUFFER_MISSING, Buffers};
 use super::context::Context;
-use super::mesh::BUFFER_MISSING;
 use crate::fetch::IoError;
 use crate::math::color;
 use crate::scene::{AlphaMode, Drawable, Geometry, Material, Splat, SplatHarmonics, Splats};

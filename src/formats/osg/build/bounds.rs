@@ -8,9 +8,8 @@ use glam::{DAffine3, DVec3};
 use super::{terrain, text};
 use crate::formats::osg::objects::{
     AutoObject, CenterMode, DrawableClass, DrawableObject, LodObject, NodeClass, NodeObject, Object, ProxyObject,
-    ShapeObject,
+    ShapeObject, TerrainSettings,
 };
-use crate::formats::osg::terrain::TerrainSettings;
 use crate::math::{Aabb, BoundingSphere};
 
 /// The spheres around nodes and drawables by address, since files may share them often.

@@ -1,8 +1,8 @@
 //! [`Environment`]: how a texture unit changes the colour of the units below it, as OSG's TexEnv and TexEnvCombine say. Decode
 //! threads.
 
-use super::looks::linear;
 use crate::formats::osg::objects::{CombineObject, CombinePart};
+use crate::math::color::linear_rgba;
 use crate::state::{CombineFunction, CombineOperand, CombineSource, TexEnv, TexEnvCombine};
 
 /// OpenGL's texture environments, and functions of TexEnvCombine.
@@ -59,7 +59,7 @@ impl Environment {
             GL_REPLACE => (Some(Quick::Replace), TexEnv::Replace),
             GL_DECAL => (Some(Quick::Over), TexEnv::Decal),
             GL_ADD => (Some(Quick::Add), TexEnv::Add),
-            GL_BLEND => (None, TexEnv::Blend(linear(color))),
+            GL_BLEND => (None, TexEnv::Blend(linear_rgba(color))),
             _ => (Some(Quick::Modulate), TexEnv::Modulate),
         };
         Self { quick, uses_light: false, full: as_displayed(full) }
@@ -76,7 +76,7 @@ impl Environment {
             alpha,
             alpha_arguments,
             alpha_scale: scale(combine.alpha.scale),
-            constant: linear(combine.constant),
+            constant: linear_rgba(combine.constant),
             is_displayed: true,
         };
         let lit = |(source, _): &(CombineSource, CombineOperand)| *source == CombineSource::PrimaryColor;

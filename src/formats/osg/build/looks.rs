@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use super::units::Units;
-use crate::formats::osg::objects::{AttributeObject, MaterialObject, StateObject};
-use crate::math::color::linear_from_srgb;
+use crate::formats::osg::objects::{AttributeObject, Inherited, MaterialObject, ON, StateObject};
+use crate::math::color::linear_rgba;
 use crate::scene::AlphaMode;
 
 /// OpenGL's modes.
@@ -19,32 +19,6 @@ const GL_GEQUAL: u32 = 0x206;
 const GL_ALWAYS: u32 = 0x207;
 /// Modes of a material in which vertex colours are the diffuse colour.
 const DIFFUSE_COLOR_MODES: [u32; 2] = [0x1201, 0x1602];
-
-/// OSG's flags.
-pub(super) const ON: u32 = 1;
-const OVERRIDE: u32 = 2;
-const PROTECTED: u32 = 4;
-const INHERIT: u32 = 8;
-
-/// A value that state sets pass on to what is below.
-#[derive(Clone)]
-pub(super) struct Inherited<T> {
-    pub value: T,
-    is_overridden: bool,
-}
-
-impl<T> Inherited<T> {
-    pub const fn new(value: T) -> Self {
-        Self { value, is_overridden: false }
-    }
-
-    pub fn apply(&mut self, value: T, flags: u32) {
-        if flags & INHERIT == 0 && (!self.is_overridden || flags & PROTECTED != 0) {
-            self.value = value;
-            self.is_overridden = flags & OVERRIDE != 0;
-        }
-    }
-}
 
 /// The state that a drawable's material takes from the state sets above it.
 pub(super) struct Look {
@@ -109,7 +83,7 @@ impl Look {
         match &self.material {
             // A material in the state set has the colour already.
             Some(material) if self.is_lit && !self.has_vertex_colors() && !needs_surface_material(material) => {
-                linear(material.diffuse[0])
+                linear_rgba(material.diffuse[0])
             }
             _ => [1.0; 4],
         }
@@ -142,11 +116,4 @@ pub(super) fn needs_surface_material(material: &MaterialObject) -> bool {
 /// Returns true if vertex colours replace the diffuse colour of a material.
 pub(super) fn has_diffuse_vertex_colors(material: &MaterialObject) -> bool {
     DIFFUSE_COLOR_MODES.contains(&material.color_mode)
-}
-
-/// Converts a colour, which OSG writes as it is displayed.
-pub(super) fn linear(color: [f32; 4]) -> [f32; 4] {
-    let part = |part: f32| if part.is_finite() { part.clamp(0.0, 1.0) } else { 0.0 };
-    let [red, green, blue] = [0, 1, 2].map(|i| linear_from_srgb(f64::from(part(color[i]))) as f32);
-    [red, green, blue, part(color[3])]
 }

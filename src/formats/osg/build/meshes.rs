@@ -5,7 +5,6 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::coordinates::UvMap;
-use super::looks::linear;
 use super::textures::BuiltTexture;
 use super::units::Unit;
 use super::{Builder, Meshes};
@@ -13,6 +12,7 @@ use crate::formats::osg::error::{OsgError, Result};
 use crate::formats::osg::input::Values;
 use crate::formats::osg::objects::{Binding, BoundArray, GeometryObject, Indices, PrimitiveObject};
 use crate::math::Aabb;
+use crate::math::color::linear_rgba;
 use crate::scene::{AttributeFormat, Mesh, MeshVertex, PrimitiveMode, SecondUv, Topology, VertexAttributes};
 
 const TOPOLOGIES: [Topology; 3] = [Topology::Triangles, Topology::Lines, Topology::Points];
@@ -221,7 +221,7 @@ impl Arrays<'_> {
                 true => colors.get(corner, component, true) as f32,
                 false => 1.0,
             };
-            linear([part(0), part(1), part(2), part(3)]).map(|part| (part * 255.0).round() as u8)
+            linear_rgba([part(0), part(1), part(2), part(3)]).map(|part| (part * 255.0).round() as u8)
         });
         MeshVertex { position, uv, normal, color }
     }

@@ -28,15 +28,14 @@ use glam::{DAffine3, DVec3};
 
 use self::looks::Look;
 use self::meshes::{UvSet, UvSets};
-pub(super) use self::paging::{HeldFile, escaped};
+pub(super) use self::paging::HeldFile;
 pub(in crate::formats) use self::paging::{InlinePart, TerrainBelow};
 use self::textures::FixedUnit;
 pub(super) use self::textures::external_images;
 use self::units::Unit;
 use super::error::OsgError;
 use super::motion::AnimationObject;
-use super::objects::{DrawableClass, DrawableObject, NodeClass, NodeObject, Object, StateObject};
-use super::terrain::TerrainSettings;
+use super::objects::{DrawableClass, DrawableObject, NodeClass, NodeObject, Object, StateObject, TerrainSettings};
 use crate::fetch::IoError;
 use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};

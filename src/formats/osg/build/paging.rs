@@ -15,10 +15,10 @@ use super::{Builder, Source, bounds};
 use crate::fetch::IoError;
 use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
+use crate::formats::osg::file_names::escaped;
 use crate::formats::osg::objects::{
-    CenterMode, LodObject, NodeObject, Object, PagedObject, ProxyMode, ProxyObject, StateObject,
+    CenterMode, LodObject, NodeObject, Object, PagedObject, ProxyMode, ProxyObject, StateObject, TerrainSettings,
 };
-use crate::formats::osg::terrain::TerrainSettings;
 use crate::formats::tile::{ContentData, TileContent};
 use crate::math::{BoundingSphere, BoundingVolume};
 use crate::scene::{
@@ -361,19 +361,4 @@ fn paging(paged: &PagedObject, child: usize) -> PagingOptions {
     let [offset, scale] = paged.priorities.get(child).copied().unwrap_or([0.0, 1.0]);
     let cannot_expire = child < paged.children_that_cannot_expire as usize && paged.children_that_cannot_expire > 1;
     PagingOptions { priority_scale: scale, priority_offset: offset, cannot_expire, ..PagingOptions::default() }
-}
-
-/// Returns the name of a file as a part of a URI.
-pub(in super::super) fn escaped(name: &str) -> String {
-    let mut text = String::with_capacity(name.len());
-    for c in name.chars() {
-        match c {
-            '\\' => text.push('/'),
-            '%' => text.push_str("%25"),
-            '#' => text.push_str("%23"),
-            '?' => text.push_str("%3F"),
-            c => text.push(c),
-        }
-    }
-    text
 }

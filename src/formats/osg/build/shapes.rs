@@ -5,11 +5,11 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DMat3, DVec3};
 
-use super::looks::linear;
 use super::meshes::UvSet;
 use super::{Builder, Meshes};
 use crate::formats::osg::objects::{ArrayObject, HeightFieldObject, Profile, ShapeObject};
 use crate::math::Aabb;
+use crate::math::color::linear_rgba;
 use crate::scene::{Mesh, MeshVertex, Topology};
 
 /// The numbers of segments that OSG divides a sphere and a round side into.
@@ -29,7 +29,7 @@ impl Builder<'_> {
             }
         }
         if has_colors {
-            let color = linear(color).map(|part| (part * 255.0).round() as u8);
+            let color = linear_rgba(color).map(|part| (part * 255.0).round() as u8);
             vertices.iter_mut().for_each(|vertex| vertex.color = color);
         }
         if vertices.iter().any(|vertex| !vertex.position.iter().all(|part| part.is_finite())) {

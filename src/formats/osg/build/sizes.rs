@@ -5,9 +5,8 @@ use std::sync::Arc;
 
 use crate::formats::osg::objects::{
     AttributeObject, BoundArray, DrawableClass, DrawableObject, ImageData, ImageObject, Indices, NodeClass, Object,
-    ShapeObject, StateObject, TextureObject,
+    ShapeObject, StateObject, TerrainTileObject, TextureObject,
 };
-use crate::formats::osg::terrain::TerrainTileObject;
 
 /// The bytes of an object without its arrays and images.
 const OBJECT_BYTES: u64 = 200;

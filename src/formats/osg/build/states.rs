@@ -6,12 +6,13 @@ use glam::DVec3;
 
 use super::Builder;
 use super::looks::{
-    GL_ALPHA_TEST, GL_BLEND, GL_CULL_FACE, GL_DEPTH_TEST, GL_LIGHTING, has_diffuse_vertex_colors, linear,
+    GL_ALPHA_TEST, GL_BLEND, GL_CULL_FACE, GL_DEPTH_TEST, GL_LIGHTING, has_diffuse_vertex_colors,
     needs_surface_material,
 };
 use super::textures::FixedUnit;
 use super::units::MAX_UNITS;
 use crate::formats::osg::objects::{AttributeObject, MaterialObject, StateObject};
+use crate::math::color::linear_rgba;
 use crate::state::{
     AlphaFunc, Attribute, BlendFactor, BlendFunc, ColorMask, CompareFunction, CullFace, Depth, FrontFace, Mode,
     PolygonOffset, StateSet, StateValue, SurfaceMaterial, TexEnv,
@@ -227,7 +228,7 @@ fn blend_factor(factor: u32) -> Option<BlendFactor> {
 }
 
 fn surface_material(material: &MaterialObject) -> SurfaceMaterial {
-    let color = |sides: &[[f32; 4]; 2]| linear(sides[0]);
+    let color = |sides: &[[f32; 4]; 2]| linear_rgba(sides[0]);
     let rgb = |sides: &[[f32; 4]; 2]| {
         let [red, green, blue, _] = color(sides);
         [red, green, blue]

@@ -4,18 +4,18 @@ use std::collections::{BTreeSet, HashSet};
 use std::sync::Arc;
 
 use super::coordinates::Coordinates;
-use super::looks::linear;
 use super::old_images::{self, OldImage};
-use super::paging::escaped;
 use super::units::MAX_UNITS;
 use super::{Builder, Source};
 use crate::fetch::{IoError, Limits};
 use crate::formats::external_files::ExternalFiles;
 use crate::formats::image::{self, BlockKind, SharedTexture};
+use crate::formats::osg::file_names::escaped;
 use crate::formats::osg::objects::{
     AttributeObject, ImageData, ImageObject, NodeClass, NodeObject, Object, RawImage, StateObject, TextureObject,
     TextureTarget,
 };
+use crate::math::color::linear_rgba;
 use crate::scene::{BlockFormats, ContentKey, Sampling, Texture};
 use crate::state::{
     FilterMode, Sampler, TexEnv, TexGen, TextureBinding, TextureDimension, TextureObject as StateTexture, WrapMode,
@@ -257,7 +257,7 @@ fn sampler(texture: &TextureObject) -> Sampler {
         mag_filter: mag,
         mip_filter: mip.unwrap_or(FilterMode::Nearest),
         wrap: [wrap[0], wrap[1], WrapMode::ClampToEdge],
-        border_color: linear(texture.border_color),
+        border_color: linear_rgba(texture.border_color),
         ..Sampler::default()
     };
     for (mode, of) in sampler.wrap.iter_mut().zip(texture.wrap) {

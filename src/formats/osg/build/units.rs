@@ -9,9 +9,8 @@ use std::sync::Arc;
 
 use super::coordinates::Coordinates;
 use super::environments::{Environment, Quick};
-use super::looks::{Inherited, ON};
 use crate::formats::osg::classes::PLANES;
-use crate::formats::osg::objects::{AttributeObject, StateObject, TextureTarget};
+use crate::formats::osg::objects::{AttributeObject, Inherited, ON, StateObject, TextureTarget};
 use crate::scene::OverlayMode;
 use crate::state::{TEXTURE_UNITS, TexEnv};
 

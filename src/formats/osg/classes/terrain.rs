@@ -8,10 +8,9 @@ use super::Reader;
 use super::geometry::VERSION_OF_ARRAY_OBJECTS;
 use crate::formats::osg::error::Result;
 use crate::formats::osg::input::{Names, Number};
-use crate::formats::osg::objects::{ImageData, ImageObject, NodeClass, Object, ShapeObject};
-use crate::formats::osg::terrain::{
-    BlendingPolicy, LayerContent, LayerObject, LocatorObject, RampObject, TerrainSettings, TerrainTileObject, Validity,
-    ellipsoid,
+use crate::formats::osg::objects::{
+    BlendingPolicy, ImageData, ImageObject, LayerContent, LayerObject, LocatorObject, NodeClass, Object, RampObject,
+    ShapeObject, TerrainSettings, TerrainTileObject, Validity, ellipsoid,
 };
 
 /// The names under which layers are counted, in all encodings.

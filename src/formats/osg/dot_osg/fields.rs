@@ -2,6 +2,8 @@
 
 use std::borrow::Cow;
 
+use glam::DQuat;
+
 use crate::fetch::Limits;
 use crate::formats::osg::error::{OsgError, Result};
 
@@ -71,6 +73,17 @@ impl<'a> Block<'a> {
     pub fn list(&self, name: &str) -> &[f64] {
         self.field(name).and_then(|field| field.block.as_ref()).map_or(&[], |block| &block.numbers)
     }
+}
+
+/// Returns a rotation; the identity for one that is none.
+pub(super) fn rotation(block: &Block<'_>, name: &str) -> DQuat {
+    block.values(name).map_or(DQuat::IDENTITY, rotation_of)
+}
+
+/// Returns the rotation of four numbers; the identity for those that are none.
+pub(super) fn rotation_of(numbers: [f64; 4]) -> DQuat {
+    let quat = DQuat::from_array(numbers);
+    if quat.is_finite() && quat.length_squared() > 0.0 { quat.normalize() } else { DQuat::IDENTITY }
 }
 
 /// Parses a number, also a hexadecimal one.

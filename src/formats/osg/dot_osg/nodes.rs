@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use glam::{DAffine3, DMat4, DQuat, DVec3, DVec4};
+use glam::{DAffine3, DMat4, DVec3, DVec4};
 
 use super::Reader;
-use super::fields::{Block, Field, number_of};
+use super::fields::{Block, Field, number_of, rotation, rotation_of};
 use super::terrain;
 use crate::formats::osg::classes::{Freedom, LIKE_GEODES, LIKE_GROUPS, LIKE_TRANSFORMS, ORDERS, light_points};
 use crate::formats::osg::error::{OsgError, Result};
@@ -180,7 +180,12 @@ impl Reader {
                 let points = block.list("ControlPoints").as_chunks::<11>().0.iter().map(|numbers| {
                     let [time_s, px, py, pz, rx, ry, rz, rw, sx, sy, sz] = *numbers;
                     let position = DVec3::new(px, py, pz);
-                    PathPoint { time_s, position, rotation: valid([rx, ry, rz, rw]), scale: DVec3::new(sx, sy, sz) }
+                    PathPoint {
+                        time_s,
+                        position,
+                        rotation: rotation_of([rx, ry, rz, rw]),
+                        scale: DVec3::new(sx, sy, sz),
+                    }
                 });
                 let path = PathObject::new(points, Looping::of_name(block.word("LoopMode")));
                 Ok(Some(path.map_or(Object::Nothing, |path| Object::Path(Arc::new(path)))))
@@ -218,17 +223,6 @@ fn is_absolute(block: &Block<'_>) -> bool {
 
 fn point(block: &Block<'_>, name: &str, default: DVec3) -> DVec3 {
     block.values(name).map_or(default, DVec3::from_array)
-}
-
-/// Returns a rotation; the identity for one that is none.
-pub(super) fn rotation(block: &Block<'_>, name: &str) -> DQuat {
-    block.values(name).map_or(DQuat::IDENTITY, valid)
-}
-
-/// Returns the rotation of four numbers; the identity for those that are none.
-fn valid(numbers: [f64; 4]) -> DQuat {
-    let quat = DQuat::from_array(numbers);
-    if quat.is_finite() && quat.length_squared() > 0.0 { quat.normalize() } else { DQuat::IDENTITY }
 }
 
 fn placement(block: &Block<'_>) -> DAffine3 {

@@ -4,8 +4,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::fields::Block;
-use super::nodes::rotation;
+use super::fields::{Block, rotation};
 use super::terrain::height_field;
 use crate::formats::osg::error::Result;
 use crate::formats::osg::objects::{Profile, ShapeObject};

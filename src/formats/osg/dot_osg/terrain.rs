@@ -5,17 +5,16 @@ use std::sync::Arc;
 use glam::{DMat4, DQuat, DVec3};
 
 use super::Reader;
-use super::fields::{Block, number_of};
-use super::nodes::rotation;
+use super::fields::{Block, number_of, rotation};
 use crate::formats::osg::classes::{
     CHILDREN_OF_TILES, COMPOSITES, FURTHER_LAYERS, HEIGHTS_ELSEWHERE, LAYERS_ELSEWHERE, LAYERS_WITHOUT_COLORS,
     image_of_file,
 };
 use crate::formats::osg::error::{OsgError, Result};
 use crate::formats::osg::input::{GL_NAMES, Values, value_of};
-use crate::formats::osg::objects::{ArrayObject, HeightFieldObject, NodeClass, Object, ShapeObject};
-use crate::formats::osg::terrain::{
-    BlendingPolicy, LayerContent, LayerObject, LocatorObject, RampObject, TerrainSettings, TerrainTileObject, ellipsoid,
+use crate::formats::osg::objects::{
+    ArrayObject, BlendingPolicy, HeightFieldObject, LayerContent, LayerObject, LocatorObject, NodeClass, Object,
+    RampObject, ShapeObject, TerrainSettings, TerrainTileObject, ellipsoid,
 };
 
 /// Returns the system of a CoordinateSystemNode; empty with an ellipsoid, on which the positions lie then.

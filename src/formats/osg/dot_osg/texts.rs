@@ -3,8 +3,7 @@
 use glam::DVec3;
 
 use super::Reader;
-use super::fields::Block;
-use super::nodes::rotation;
+use super::fields::{Block, rotation};
 use crate::formats::osg::input::value_of;
 use crate::formats::osg::text::{
     ALIGNMENTS, AXES, DECORATIONS, FADING, GRADIENTS, LAYOUTS, LETTERS_ALONE, SCREEN, SIZE_MODES, SOLIDS, TextObject,

@@ -14,8 +14,9 @@ pub(in crate::formats) use self::metadata::is_metadata;
 
 use self::metadata::Metadata;
 use self::placement::Placement;
-use super::build::{self, HeldFile, escaped};
+use super::build::{self, HeldFile};
 use super::classes::read_file;
+use super::file_names::escaped;
 use crate::fetch::{IoError, is_remote, resolve};
 use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};

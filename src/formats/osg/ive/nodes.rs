@@ -7,9 +7,8 @@ use crate::formats::osg::classes::Freedom;
 use crate::formats::osg::error::Result;
 use crate::formats::osg::motion::SequenceObject;
 use crate::formats::osg::objects::{
-    AutoObject, AutoTurn, BillboardObject, BillboardTurn, NodeClass, NodeMembers, Object,
+    AutoObject, AutoTurn, BillboardObject, BillboardTurn, NodeClass, NodeMembers, Object, ellipsoid,
 };
-use crate::formats::osg::terrain::ellipsoid;
 use crate::math::Ellipsoid;
 
 /// The bytes that a reference to a node or drawable takes.

@@ -8,9 +8,9 @@ use crate::formats::osg::classes::{
 };
 use crate::formats::osg::error::{OsgError, Result};
 use crate::formats::osg::input::{Input as _, Number, Values};
-use crate::formats::osg::objects::{ArrayObject, ImageData, NodeClass, Object, ShapeObject};
-use crate::formats::osg::terrain::{
-    BlendingPolicy, LayerContent, LayerObject, LocatorObject, TerrainSettings, TerrainTileObject, Validity,
+use crate::formats::osg::objects::{
+    ArrayObject, BlendingPolicy, ImageData, LayerContent, LayerObject, LocatorObject, NodeClass, Object, ShapeObject,
+    TerrainSettings, TerrainTileObject, Validity,
 };
 
 /// The maximum number of heights in a file that are written as one value.

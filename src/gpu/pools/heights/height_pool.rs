@@ -15,7 +15,8 @@ use crate::gpu::pools::bind_group_layouts::BindGroupLayouts;
 use crate::gpu::pools::block_memory::{BlockCopy, BlockLimits, BlockMemory};
 use crate::gpu::pools::slot_allocator::SlotAllocator;
 use crate::gpu::pools::slot_table::SlotTable;
-use crate::gpu::pools::textures::{ImageSize, TexelEncoding, array_view};
+use crate::gpu::pools::textures::{ImageSize, array_view};
+use crate::gpu::pools::wgpu_enums::TexelEncoding;
 use crate::scene::{BlockFormats, ContentKey, HeightTile, Sampling};
 
 /// The maximum size of a block.

@@ -1,8 +1,8 @@
 //! [`ImageSize`]: the size and format of a mesh texture with its mip levels, and the creation of array textures for it.
 
 use super::texture_rows::TextureRows;
-use super::wgpu_enums::{TexelEncoding, texel_format};
 use crate::gpu::memory::Memory;
+use crate::gpu::pools::wgpu_enums::{TexelEncoding, texel_format};
 use crate::scene::{BlockFormats, TexelFormat, Texture};
 
 /// The size and format of an image with its mip levels. Images of one size and format share blocks.

@@ -11,11 +11,12 @@ use std::sync::{Arc, Weak};
 
 use super::image_size::ImageSize;
 use super::texture_rows::write_rows;
-use super::wgpu_enums::{
-    TexelEncoding, address_mode, block_formats, border_color, compare_function, filter_mode, mipmap_filter_mode,
-    texture_format, view_dimension,
-};
 use crate::gpu::error_scope::catch_errors;
+use crate::gpu::memory::block_formats;
+use crate::gpu::pools::wgpu_enums::{
+    TexelEncoding, address_mode, border_color, compare_function, filter_mode, mipmap_filter_mode, texture_format,
+    view_dimension,
+};
 use crate::scene::Texture;
 use crate::state::{FilterMode, Sampler, TextureDimension, TextureFormat, TextureObject, WrapMode};
 

@@ -9,7 +9,6 @@ use std::sync::{Arc, Weak};
 
 use super::image_size::{ImageSize, array_view};
 use super::texture_rows::{TextureRows, write_rows};
-use super::wgpu_enums::TexelEncoding;
 use crate::gpu::memory::Memory;
 use crate::gpu::pools::allocation::{Allocation, LayerDestination};
 use crate::gpu::pools::bind_group_layouts::BindGroupLayouts;
@@ -17,6 +16,7 @@ use crate::gpu::pools::block_memory::{BlockCopy, BlockLimits, BlockMemory};
 use crate::gpu::pools::identity::Identity;
 use crate::gpu::pools::slot_allocator::SlotAllocator;
 use crate::gpu::pools::slot_table::SlotTable;
+use crate::gpu::pools::wgpu_enums::TexelEncoding;
 use crate::scene::{ContentKey, Sampling, Texture};
 
 /// The maximum size of a block. Larger images get blocks of one layer.

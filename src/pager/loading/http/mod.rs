@@ -194,7 +194,8 @@ fn pass_on<J: LoadJob>(
 mod tests {
     use super::super::page_job::PageJob;
     use super::super::page_job::tests::job;
-    use super::super::request_list::{self, Request as _};
+    use super::super::request::Request as _;
+    use super::super::request_list;
     use super::super::server_limits::Outcome;
     use super::*;
 

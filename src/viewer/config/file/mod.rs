@@ -61,9 +61,10 @@ use serde::Deserialize;
 use self::values::{Entries, Invalid, Object, present};
 use self::views::{ScenesField, ViewFields};
 use self::windows::WindowFields;
-use super::arrangement::{Arrangement, ArrangementError};
+use super::arrangement::Arrangement;
 use super::view_setup::ViewsSetup;
 use super::window_setup::WindowSetup;
+use crate::viewer::ArrangementError;
 
 /// The size above which a file is refused, bytes.
 const MAX_FILE_BYTES: u64 = 1 << 20;

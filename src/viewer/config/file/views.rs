@@ -161,7 +161,8 @@ mod tests {
     use glam::DMat4;
 
     use super::*;
-    use crate::viewer::config::{Arrangement, ArrangementError, CameraSetup, ViewsSetup, WindowSetup};
+    use crate::viewer::ArrangementError;
+    use crate::viewer::config::{Arrangement, CameraSetup, ViewsSetup, WindowSetup};
     use crate::viewer::view::viewport::ViewArea;
 
     fn read(text: &str) -> Result<ViewsSetup, ArrangementError> {

@@ -4,9 +4,9 @@ use glam::{DAffine3, DMat4, DQuat, DVec3, EulerRot};
 use serde::Deserialize;
 
 use super::values::{Entries, Invalid, Number, Numbers, Object, limits, present};
+use crate::viewer::camera::ResizePolicy;
 use crate::viewer::config::window_setup::{CameraSetup, MAX_SIDE_PX, WindowSetup};
 use crate::viewer::view::Eyes;
-use crate::viewer::view::camera::ResizePolicy;
 use crate::viewer::view::viewport::ViewArea;
 
 /// How far the fractions of a viewport may exceed the window: room for rounded thirds.
@@ -239,7 +239,8 @@ mod tests {
     use std::path::Path;
 
     use super::*;
-    use crate::viewer::config::{Arrangement, ArrangementError};
+    use crate::viewer::ArrangementError;
+    use crate::viewer::config::Arrangement;
 
     fn read(text: &str) -> Result<Vec<WindowSetup>, ArrangementError> {
         let file = tempfile::NamedTempFile::new().unwrap();

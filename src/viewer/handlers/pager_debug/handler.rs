@@ -2,7 +2,8 @@
 
 use super::tile_colors::TileColors;
 use crate::viewer::GuiActionAdapter;
-use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
+use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, Key, Usage};
+use crate::viewer::input::GuiEventHandler;
 
 const KEYS: Bindings<()> = Bindings(&[(
     &[Key::Char('g')],

@@ -1,7 +1,8 @@
 //! [`StatsHandler`]: shows the cost of frames over the image.
 
 use super::selection::{RECENT_FRAMES, StatsPage};
-use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
+use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, Key, Usage};
+use crate::viewer::input::GuiEventHandler;
 use crate::viewer::{GuiActionAdapter, Samples};
 
 #[derive(Clone, Copy, Debug)]

@@ -5,12 +5,12 @@ use std::f64::consts::FRAC_PI_2;
 use glam::{DAffine3, DQuat, DVec2, DVec3};
 
 use super::orbit_state::{OrbitState, PointMotion, distance_to_center};
+use crate::viewer::camera::world_from_eye;
 use crate::viewer::events::{EventKind, GuiEventAdapter, Usage};
 use crate::viewer::manipulators::ground::intersect_level;
 use crate::viewer::manipulators::manipulator::{CameraManipulator, ManipulatorView};
 use crate::viewer::manipulators::motion::{Pinch, remaining_after};
 use crate::viewer::manipulators::pose::transport_heading;
-use crate::viewer::view::camera::world_from_eye;
 
 /// The minimum height of the eye above the ground, as a fraction of its distance from the point.
 const MIN_HEIGHT_FRACTION: f64 = 0.02;

@@ -3,8 +3,9 @@
 
 use glam::DVec3;
 
-use crate::formats::osg::objects::HeightFieldObject;
-use crate::formats::osg::terrain::{LayerObject, LocatorObject, TerrainSettings, TerrainTileObject, Validity};
+use crate::formats::osg::objects::{
+    HeightFieldObject, LayerObject, LocatorObject, TerrainSettings, TerrainTileObject, Validity,
+};
 use crate::math::{Aabb, BoundingSphere};
 
 /// The columns and rows of a tile without heights.

@@ -10,15 +10,13 @@ use glam::{DAffine3, DVec3};
 use self::grid::{Grid, GridVertex};
 pub(super) use self::skirts::is_ground_with_skirt;
 use super::Builder;
-use super::looks::{GL_BLEND, GL_CULL_FACE, ON};
+use super::looks::{GL_BLEND, GL_CULL_FACE};
 use crate::fetch::IoError;
 use crate::formats::osg::input::{Number, Values};
 use crate::formats::osg::objects::{
-    ArrayObject, AttributeObject, Binding, BoundArray, DrawableClass, DrawableObject, GeometryObject, ImageObject,
-    Indices, NodeObject, PrimitiveObject, StateObject, TextureObject, TextureTarget,
-};
-use crate::formats::osg::terrain::{
-    BlendingPolicy, LayerContent, LayerObject, LocatorObject, TerrainSettings, TerrainTileObject,
+    ArrayObject, AttributeObject, Binding, BlendingPolicy, BoundArray, DrawableClass, DrawableObject, GeometryObject,
+    ImageObject, Indices, LayerContent, LayerObject, LocatorObject, NodeObject, ON, PrimitiveObject, StateObject,
+    TerrainSettings, TerrainTileObject, TextureObject, TextureTarget,
 };
 use crate::math::BoundingSphere;
 use crate::scene::{Node, TexelFormat, Texture};

@@ -7,8 +7,8 @@ use glam::{DVec2, DVec3};
 use super::glyphs::{self, Letter};
 use crate::fetch::IoError;
 use crate::formats::osg::build::Builder;
-use crate::formats::osg::build::looks::linear;
 use crate::formats::osg::text::TextObject;
+use crate::math::color::linear_rgba;
 use crate::scene::{AlphaMode, ContentKey, Drawable, Geometry, Material, Mesh, MeshVertex, Topology};
 
 /// The lengths of letters and lines that are drawn, so that floats hold the positions of all letters of a file.
@@ -161,7 +161,7 @@ impl Builder<'_> {
         let limit = self.source.options.limits.max_elements;
         let more = lines.letters.len().saturating_mul(4);
         self.vertices = self.count(self.vertices, more, "vertices of an OpenSceneGraph file", limit)?;
-        let color = linear(text.color).map(|part| (part * 255.0).round() as u8);
+        let color = linear_rgba(text.color).map(|part| (part * 255.0).round() as u8);
         let [nx, ny, nz] = (text.rotation * DVec3::Z).to_array().map(|part| (part * 127.0).round() as i8);
         let mut pages: Vec<(usize, Vec<MeshVertex>)> = Vec::new();
         for (letter, at) in &lines.letters {

@@ -11,6 +11,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use terrane::fetch::{HttpConfig, IoError, ObjectFolder, ObjectHeaders};
+use terrane::math::random::fnv1a;
 
 use self::old_set::BucketSet;
 use self::parts::ShardFolder;
@@ -18,7 +19,6 @@ pub(crate) use self::parts::complete_shards;
 use crate::fingerprint::fingerprint;
 use crate::generate::{check, expanded};
 use crate::output::{MANIFEST, ROOTS, each_folder, write_whole};
-use crate::pyramid::checksum;
 use crate::update::OldSet as _;
 use crate::{ArchiveFormat, GenArgs, GenError, PartialFolder, Prediction, Progress, RunArgs, Summary, generate};
 
@@ -114,7 +114,7 @@ pub(crate) fn predict(args: &GenArgs) -> Result<Prediction, GenError> {
 
 /// Returns the path of the set in the scratch folder.
 fn scratch(out: &Path) -> PathBuf {
-    let number = checksum(out.to_string_lossy().as_bytes());
+    let number = fnv1a(out.to_string_lossy().as_bytes());
     std::env::temp_dir().join(format!("terrane-gen-{number:016x}"))
 }
 

@@ -1,12 +1,26 @@
 //! The objects of a file as plain values, shared as they are in the file. [`build`](super::build) makes nodes of them.
 
+mod arrays;
+mod images;
+mod inherited;
+mod shapes;
+mod terrain;
+
 use std::sync::Arc;
 
 use glam::{DAffine3, DMat4, DQuat, DVec3};
 
+pub(super) use self::arrays::{ArrayObject, Binding, BoundArray};
+pub(super) use self::images::{ImageData, ImageObject, RawImage};
+pub(super) use self::inherited::{Inherited, ON};
+pub(super) use self::shapes::{HeightFieldObject, Profile, ShapeObject};
+pub(super) use self::terrain::{
+    BlendingPolicy, LayerContent, LayerObject, LocatorObject, RampObject, TerrainSettings, TerrainTileObject, Validity,
+    ellipsoid,
+};
+
 use super::input::Values;
 use super::motion::{AnimationObject, PathObject, SequenceObject};
-use super::terrain::{LayerObject, LocatorObject, RampObject, TerrainSettings, TerrainTileObject};
 use super::text::TextObject;
 use crate::math::Ellipsoid;
 
@@ -238,55 +252,6 @@ pub(super) struct GeometryObject {
     pub tex_coords: Vec<Option<BoundArray>>,
 }
 
-/// An array with what its elements belong to.
-#[derive(Clone, Debug)]
-pub(super) struct BoundArray {
-    pub array: Arc<ArrayObject>,
-    /// The indices of the elements, in versions below 112.
-    pub indices: Option<Arc<ArrayObject>>,
-    /// `None` lets the number of elements decide.
-    pub binding: Option<Binding>,
-    /// Integers are scaled to 0..1 or -1..1.
-    pub is_normalized: bool,
-}
-
-/// The kind of thing that each element of an array belongs to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Binding {
-    Off,
-    Overall,
-    PerPrimitiveSet,
-    PerPrimitive,
-    PerVertex,
-}
-
-/// An array.
-#[derive(Debug)]
-pub(super) struct ArrayObject {
-    /// Values of an element.
-    pub width: usize,
-    pub values: Values,
-    pub binding: Option<Binding>,
-    pub is_normalized: bool,
-}
-
-impl ArrayObject {
-    /// Returns the number of elements.
-    pub fn count(&self) -> usize {
-        self.values.len() / self.width
-    }
-
-    /// Returns true if the arrays hold the same for a texture.
-    pub fn has_equal_values(&self, other: &Self) -> bool {
-        (self.width, self.is_normalized) == (other.width, other.is_normalized) && self.values == other.values
-    }
-
-    /// Returns a value of an element; 0 for those that it lacks.
-    pub fn get(&self, element: usize, component: usize) -> f64 {
-        if component < self.width { self.values.get(element * self.width + component) } else { 0.0 }
-    }
-}
-
 /// A primitive set.
 #[derive(Debug)]
 pub(super) struct PrimitiveObject {
@@ -433,94 +398,4 @@ pub(super) enum TextureTarget {
     /// Its coordinates are texels.
     Rectangle = 0x84f5,
     Cube = 0x8513,
-}
-
-/// An image.
-#[derive(Debug)]
-pub(super) struct ImageObject {
-    pub file_name: String,
-    pub data: ImageData,
-}
-
-/// The pixels of an image.
-#[derive(Debug)]
-pub(super) enum ImageData {
-    /// In the file of its name.
-    External,
-    /// Here, as the bytes of an image file.
-    File(Vec<u8>),
-    /// Here, uncompressed or in blocks.
-    Raw(RawImage),
-}
-
-/// Pixels as OpenGL takes them.
-#[derive(Debug)]
-pub(super) struct RawImage {
-    /// Width, height and depth.
-    pub size: [i32; 3],
-    pub pixel_format: u32,
-    pub data_type: u32,
-    /// The alignment of rows in bytes.
-    pub packing: u32,
-    /// All levels.
-    pub bytes: Vec<u8>,
-}
-
-/// A shape of a ShapeDrawable. Lengths in metres.
-#[derive(Debug)]
-pub(super) enum ShapeObject {
-    Box {
-        center: DVec3,
-        half_lengths: DVec3,
-        rotation: DQuat,
-    },
-    Sphere {
-        center: DVec3,
-        radius: f64,
-    },
-    /// Around the z axis before it is rotated.
-    Round {
-        profile: Profile,
-        center: DVec3,
-        radius: f64,
-        height: f64,
-        rotation: DQuat,
-    },
-    Composite(Vec<Arc<ShapeObject>>),
-    Triangles {
-        positions: Arc<ArrayObject>,
-        indices: Arc<ArrayObject>,
-    },
-    HeightField(HeightFieldObject),
-}
-
-/// A grid of heights: `rows` rows from south to north, of `columns` heights from west to east.
-#[derive(Debug)]
-pub(super) struct HeightFieldObject {
-    pub columns: usize,
-    pub rows: usize,
-    pub origin: DVec3,
-    /// Metres between columns and between rows.
-    pub interval: [f64; 2],
-    pub skirt_height: f64,
-    pub rotation: DQuat,
-    /// A height for each column of each row, or more.
-    pub heights: Arc<ArrayObject>,
-}
-
-impl HeightFieldObject {
-    /// Returns a point of the surface.
-    pub fn position(&self, column: usize, row: usize) -> DVec3 {
-        let [dx, dy] = self.interval;
-        let height = self.heights.get(row * self.columns + column, 0);
-        self.origin + self.rotation * DVec3::new(dx * column as f64, dy * row as f64, height)
-    }
-}
-
-/// The silhouette of a round shape.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Profile {
-    Cone,
-    Cylinder,
-    Capsule,
 }

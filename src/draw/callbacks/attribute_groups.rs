@@ -3,7 +3,7 @@
 use std::any::Any;
 use std::sync::{Arc, Weak};
 
-use crate::draw::callbacks::attributes::bind;
+use super::attributes::bind;
 use crate::gpu::CompileInfo;
 use crate::state::OpaqueDrawData;
 

@@ -3,10 +3,11 @@
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::json::ELLIPSOID;
 use crate::fetch::printable;
 use crate::math::{Ellipsoid, RadiiError, WGS84};
 
+/// The extension with the ellipsoid of a set.
+pub(in crate::formats) const ELLIPSOID: &str = "3DTILES_ellipsoid";
 /// Radii that differ from those of WGS84 by at most this are WGS84, metres.
 const SAME_M: f64 = 1e-3;
 

@@ -1,5 +1,8 @@
 //! Configuration of the HTTP client: timeouts, retries, credentials, options of object stores.
 
+mod allowed;
+mod token;
+
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -8,9 +11,11 @@ use std::time::Duration;
 use reqwest::header::{AUTHORIZATION, HeaderName, HeaderValue};
 use url::Url;
 
-use super::hosts::AllowedHost;
+pub use self::allowed::AllowedHost;
+pub(super) use self::allowed::host_of;
+pub(in crate::fetch) use self::token::ExpiringToken;
+
 use crate::fetch::cache::Asker;
-use crate::fetch::services::ExpiringToken;
 use crate::fetch::{CacheConfig, IoError};
 
 /// Configuration of an [`HttpClient`](super::HttpClient). Proxies are taken from the environment variables `http_proxy`,

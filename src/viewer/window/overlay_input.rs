@@ -4,8 +4,8 @@ use egui_winit::State;
 use winit::event::{Touch, WindowEvent};
 use winit::window::Window;
 
+use super::events as window_events;
 use crate::viewer::view::View;
-use crate::viewer::window::events as window_events;
 
 /// Collects the input to the overlay of a view from the window that shows the view.
 #[derive(Default)]

@@ -5,8 +5,12 @@ use std::str::FromStr;
 
 use url::Url;
 
-use super::address::host_of;
 use crate::fetch::IoError;
+
+/// Returns the host of an http(s) URL without the dot that may end a name; in brackets if it is an IPv6 address.
+pub(in crate::fetch::http) fn host_of(url: &Url) -> &str {
+    url.host_str().unwrap_or_default().trim_end_matches('.')
+}
 
 /// A host that tile sets may reach although its address is not public; see
 /// [`HttpConfig::allowed_hosts`](crate::fetch::HttpConfig::allowed_hosts).
@@ -23,7 +27,7 @@ pub struct AllowedHost {
 
 impl AllowedHost {
     /// Returns true if this is the host of a URL.
-    pub(super) fn matches(&self, url: &Url) -> bool {
+    pub(in crate::fetch::http) fn matches(&self, url: &Url) -> bool {
         host_of(url) == self.host && self.port.is_none_or(|port| url.port_or_known_default() == Some(port))
     }
 }

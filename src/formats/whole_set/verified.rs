@@ -1,4 +1,4 @@
-//! Reads and decodes a whole tile set as the pager would, for `terrane info --verify`. One content at a time; blocking.
+//! [`Verified`]: what a survey finds.
 
 use std::collections::BTreeMap;
 
@@ -6,13 +6,10 @@ use serde::Serialize;
 
 use super::measure::{LevelMeasures, Problem, SurveyedTile};
 use super::report::{InfoError, record};
-use super::survey::{SurveyOptions, survey};
-#[cfg(feature = "http")]
-use crate::fetch::HttpConfig;
-use crate::fetch::{IoError, Limits};
+use crate::fetch::IoError;
 use crate::formats::options::Fetched;
 
-/// The result of [`verify`].
+/// The result of [`verify`](super::verify).
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Verified {
     /// Number of contents, decoded or failed.
@@ -40,38 +37,13 @@ fn is_zero(count: &u64) -> bool {
     *count == 0
 }
 
-/// A step of [`survey`].
+/// A step of [`survey`](super::survey).
 #[derive(Debug)]
 pub enum SurveyEvent<'a> {
     /// A file was read.
     Read(&'a Verified),
     /// A tile and all tiles below it were read.
     Tile(&'a SurveyedTile),
-}
-
-/// Reads, decodes and measures every content of a tile set, and calls `progress` after each. Fails only if the root cannot be
-/// read.
-pub fn verify(source: &str, limits: &Limits, progress: &mut dyn FnMut(&Verified)) -> Result<Verified, IoError> {
-    verify_by(source, &SurveyOptions { limits: *limits, ..SurveyOptions::default() }, progress)
-}
-
-/// Like [`verify`], with a configuration for servers.
-#[cfg(feature = "http")]
-pub fn verify_with(
-    source: &str,
-    limits: &Limits,
-    http: HttpConfig,
-    progress: &mut dyn FnMut(&Verified),
-) -> Result<Verified, IoError> {
-    verify_by(source, &SurveyOptions { limits: *limits, http, ..SurveyOptions::default() }, progress)
-}
-
-fn verify_by(source: &str, options: &SurveyOptions, progress: &mut dyn FnMut(&Verified)) -> Result<Verified, IoError> {
-    survey(source, options, &mut |event| {
-        if let SurveyEvent::Read(verified) = event {
-            progress(verified);
-        }
-    })
 }
 
 impl Verified {

@@ -2,21 +2,22 @@
 //! and where they lie.
 //!
 //! Readers of all encodings fill them, and resolve CompositeLayers, SwitchLayers and ProxyLayers to the layer that is shown.
-//! [`build`](super::build) makes meshes of them.
+//! [`build`](super::super::build) makes meshes of them.
 
 use std::sync::Arc;
 
 use glam::{DMat4, DVec3};
 
-use super::objects::{HeightFieldObject, ImageData, ImageObject, RawImage, ShapeObject};
+use super::images::{ImageData, ImageObject, RawImage};
+use super::shapes::{HeightFieldObject, ShapeObject};
 use crate::math::{Ellipsoid, Geodetic, WGS84};
 
 /// The maximum number of colour layers of a tile that are read: the texture units that are looked at.
-pub(super) const MAX_COLOR_LAYERS: usize = 8;
+pub(in crate::formats::osg) const MAX_COLOR_LAYERS: usize = 8;
 
 /// The members of a Terrain, which hold for the tiles below it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct TerrainSettings {
+pub(in crate::formats::osg) struct TerrainSettings {
     /// The share of the samples of an elevation layer that become vertices.
     pub sample_ratio: f32,
     pub vertical_scale: f64,
@@ -31,7 +32,7 @@ impl Default for TerrainSettings {
 
 /// When the tiles of a terrain are blended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) enum BlendingPolicy {
+pub(in crate::formats::osg) enum BlendingPolicy {
     #[default]
     Inherit,
     Never,
@@ -62,7 +63,7 @@ impl BlendingPolicy {
 
 /// The members of a TerrainTile.
 #[derive(Debug, Default)]
-pub(super) struct TerrainTileObject {
+pub(in crate::formats::osg) struct TerrainTileObject {
     /// The locator of the tile if none of its layers has one.
     pub locator: Option<Arc<LocatorObject>>,
     pub elevation: Option<Arc<LayerObject>>,
@@ -103,7 +104,7 @@ impl TerrainTileObject {
 
 /// A layer of a tile: heights or an image.
 #[derive(Clone, Debug)]
-pub(super) struct LayerObject {
+pub(in crate::formats::osg) struct LayerObject {
     pub locator: Option<Arc<LocatorObject>>,
     pub validity: Validity,
     /// OpenGL's numbers.
@@ -142,7 +143,7 @@ impl LayerObject {
 
 /// The content of a layer.
 #[derive(Clone, Debug)]
-pub(super) enum LayerContent {
+pub(in crate::formats::osg) enum LayerContent {
     /// Nothing that is read.
     Nothing,
     /// A HeightField, whose own origin and intervals do not count: the locator places it.
@@ -154,7 +155,7 @@ pub(super) enum LayerContent {
 
 /// A TransferFunction1D: the colours of values.
 #[derive(Debug)]
-pub(super) struct RampObject {
+pub(in crate::formats::osg) struct RampObject {
     /// A row of texels from the smallest value to the largest.
     pub image: Arc<ImageObject>,
     /// The smallest and the largest value.
@@ -204,7 +205,7 @@ impl RampObject {
 
 /// The values of a layer that are valid.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Validity {
+pub(in crate::formats::osg) enum Validity {
     All,
     /// All but one.
     Without(f32),
@@ -226,7 +227,7 @@ impl Validity {
 /// The members of a Locator: it maps a layer, 0 to 1 from west to east and from south to north with heights in metres, to the
 /// frame of the tile.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct LocatorObject {
+pub(in crate::formats::osg) struct LocatorObject {
     /// The transform leads to longitude, latitude and height, which become earth-centred coordinates.
     pub is_geocentric: bool,
     pub ellipsoid: Ellipsoid,
@@ -276,7 +277,7 @@ impl LocatorObject {
 }
 
 /// Returns an ellipsoid of two radii in metres; WGS84 for radii that are none.
-pub(super) fn ellipsoid(equator_m: f64, polar_m: f64) -> Ellipsoid {
+pub(in crate::formats::osg) fn ellipsoid(equator_m: f64, polar_m: f64) -> Ellipsoid {
     let is_valid = equator_m.is_finite() && polar_m.is_finite() && polar_m > 0.0 && equator_m >= polar_m;
     if is_valid { Ellipsoid { semi_major_m: equator_m, semi_minor_m: polar_m } } else { WGS84 }
 }

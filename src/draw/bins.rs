@@ -4,9 +4,9 @@ use crate::state::{DataVariance, OpaqueDrawData};
 use std::ops::Range;
 use std::sync::Arc;
 
-use super::info::RenderInfo;
+use super::callbacks::info::RenderInfo;
+use super::recorder::{DrawSources, PassRecorder};
 use crate::cull::{RenderBin, RenderStage};
-use crate::draw::recorder::{DrawSources, PassRecorder};
 
 type OnBin = Box<dyn Fn(&RenderInfo<'_>, &mut BinDrawing<'_, '_, '_>) + Send + Sync>;
 

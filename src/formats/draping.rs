@@ -2,15 +2,13 @@
 
 use std::sync::Arc;
 
-use super::drape;
-use super::extent::Extent;
-use super::set::OverlaySet;
+use super::ignored::Notes;
+use super::model_files::begins_like_tileset;
+use super::options::{Content, Fetched, ReadOptions};
+use super::osg::{self, InlinePart};
+use super::overlay::{Draped, Extent, OverlaySet, drape_images, note_regions};
+use super::terrain::TerrainTile;
 use crate::fetch::markup::text_and_first_byte;
-use crate::formats::ignored::Notes;
-use crate::formats::model_files::begins_like_tileset;
-use crate::formats::options::{Content, Fetched, ReadOptions};
-use crate::formats::osg::{self, InlinePart};
-use crate::formats::terrain::TerrainTile;
 use crate::scene::{Node, ReaderData};
 
 /// A content that is covered, with its overlays.
@@ -41,7 +39,7 @@ impl<'a> Covered<'a> {
 }
 
 /// Returns the documents and images that the overlays of a content need next; see [`OverlaySet`].
-pub(in crate::formats) fn needed(
+pub(super) fn needed(
     bytes: &[u8],
     reader_data: Option<&ReaderData>,
     known: &[Fetched],
@@ -52,7 +50,7 @@ pub(in crate::formats) fn needed(
 }
 
 /// The overlays of a content that is being decoded, with their images.
-pub(in crate::formats) struct Draping {
+pub(super) struct Draping {
     /// The extent and the images; `None` for a content that is not covered.
     covered: Option<(Extent, Vec<Fetched>)>,
     /// True if surfaces stay as smooth as they are below images: those of terrain, which has water.
@@ -73,15 +71,12 @@ impl Draping {
 
     /// Covers the drawables of the content, and keeps the regions of its tiles.
     pub fn apply(self, node: &mut Node, options: &ReadOptions, notes: &Notes) {
-        drape::note_regions(node);
+        note_regions(node);
         let Self { covered, keeps_reflection } = self;
         if let (Some((extent, images)), Some(set)) = (covered, &options.overlays) {
-            let to = drape::Draped {
-                set_from_content: options.set_from_content,
-                ellipsoid: options.ellipsoid,
-                keeps_reflection,
-            };
-            drape::apply(node, set, &extent, &images, to, &options.limits, notes);
+            let to =
+                Draped { set_from_content: options.set_from_content, ellipsoid: options.ellipsoid, keeps_reflection };
+            drape_images(node, set, &extent, &images, to, &options.limits, notes);
         }
     }
 }

@@ -5,7 +5,7 @@ use serde::de::DeserializeOwned;
 
 /// The offset of a column or of a global value in the binary part.
 #[derive(Clone, Copy, Deserialize)]
-pub(super) struct BinaryOffset {
+pub(in crate::formats) struct BinaryOffset {
     #[serde(rename = "byteOffset")]
     pub byte_offset: usize,
 }
@@ -13,7 +13,7 @@ pub(super) struct BinaryOffset {
 /// A value of the whole table, in the JSON or in the binary part.
 #[derive(Clone, Copy, Deserialize)]
 #[serde(untagged)]
-pub(super) enum Global<T> {
+pub(in crate::formats) enum Global<T> {
     Json(T),
     Binary(BinaryOffset),
 }
@@ -50,7 +50,7 @@ impl Global<[u8; 4]> {
 }
 
 /// Parses the JSON part. Some writers pad it with zeros instead of spaces.
-pub(super) fn parse<T: DeserializeOwned>(json: &[u8]) -> Result<T, serde_json::Error> {
+pub(in crate::formats) fn parse<T: DeserializeOwned>(json: &[u8]) -> Result<T, serde_json::Error> {
     let end = json.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
     serde_json::from_slice(&json[..end])
 }

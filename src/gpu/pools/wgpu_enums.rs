@@ -1,6 +1,6 @@
 //! wgpu's counterparts of the enums of state sets. Plain values.
 
-use crate::scene::{BlockFormats, TexelFormat};
+use crate::scene::TexelFormat;
 use crate::state::{CompareFunction, FilterMode, TextureDimension, TextureFormat, WrapMode};
 
 /// The meaning of an image's bytes.
@@ -26,7 +26,7 @@ pub(crate) fn texture_format(format: TextureFormat) -> wgpu::TextureFormat {
 }
 
 /// Returns the format of a mesh texture.
-pub(super) fn texel_format(format: TexelFormat, encoding: TexelEncoding) -> wgpu::TextureFormat {
+pub(in crate::gpu::pools) fn texel_format(format: TexelFormat, encoding: TexelEncoding) -> wgpu::TextureFormat {
     let (srgb, linear) = match format {
         TexelFormat::Rgba8 => (wgpu::TextureFormat::Rgba8UnormSrgb, wgpu::TextureFormat::Rgba8Unorm),
         TexelFormat::Bc1 => (wgpu::TextureFormat::Bc1RgbaUnormSrgb, wgpu::TextureFormat::Bc1RgbaUnorm),
@@ -42,15 +42,6 @@ pub(super) fn texel_format(format: TexelFormat, encoding: TexelEncoding) -> wgpu
     match encoding {
         TexelEncoding::Srgb => srgb,
         TexelEncoding::Linear => linear,
-    }
-}
-
-/// Returns the families of compressed formats of a device.
-pub(in crate::gpu) fn block_formats(features: wgpu::Features) -> BlockFormats {
-    BlockFormats {
-        bc: features.contains(wgpu::Features::TEXTURE_COMPRESSION_BC),
-        etc2: features.contains(wgpu::Features::TEXTURE_COMPRESSION_ETC2),
-        astc: features.contains(wgpu::Features::TEXTURE_COMPRESSION_ASTC),
     }
 }
 
@@ -88,7 +79,7 @@ pub(in crate::gpu::pools) fn address_mode(mode: WrapMode) -> wgpu::AddressMode {
 }
 
 /// Returns wgpu's border with a colour; `None` for a colour that it does not have.
-pub(super) fn border_color(color: [f32; 4]) -> Option<wgpu::SamplerBorderColor> {
+pub(in crate::gpu::pools) fn border_color(color: [f32; 4]) -> Option<wgpu::SamplerBorderColor> {
     if color == [0.0; 4] {
         Some(wgpu::SamplerBorderColor::TransparentBlack)
     } else if color == [0.0, 0.0, 0.0, 1.0] {

@@ -3,7 +3,9 @@
 use std::path::{Path, PathBuf};
 
 #[cfg(feature = "http")]
-use crate::fetch::percent::percent_decode;
+use super::uri::percent_decode;
+#[cfg(all(feature = "http", feature = "testing"))]
+use super::uri::{is_remote, server, shown};
 
 /// Returns true for the name of an archive that may hold a tile set (`.3tz`, `.zip`, `.terrane`).
 pub(crate) fn is_archive(name: &str) -> bool {
@@ -56,6 +58,27 @@ pub(crate) fn split_url(url: &str) -> Option<(String, String)> {
 #[cfg(feature = "http")]
 fn is_inner_archive(path: &str) -> bool {
     path.rsplit_once('/').is_some_and(|(_, name)| is_archive(name) || is_pmtiles(name))
+}
+
+/// Runs the text operations on URIs on any text and checks their guarantees. Entry point of the fuzz tests.
+#[cfg(all(feature = "http", feature = "testing"))]
+pub fn fuzz_url(uri: &str) {
+    let (shown, split) = (shown(uri), split_url(uri));
+    if !is_remote(uri) {
+        return;
+    }
+    assert!(uri.starts_with(server(uri)));
+    if let Some((archive, _)) = split {
+        assert_eq!(server(&archive), server(uri));
+    }
+    // No password and no token may remain in the shown form of a valid URL.
+    if url::Url::parse(uri).is_ok()
+        && let Ok(url) = url::Url::parse(&shown)
+    {
+        assert!(url.username().is_empty() && url.password().is_none(), "{uri:?}: {shown}");
+        let query = url.query().unwrap_or_default();
+        assert!(query.split('&').all(|pair| pair.is_empty() || pair.ends_with("...")), "{uri:?}: {shown}");
+    }
 }
 
 #[cfg(test)]

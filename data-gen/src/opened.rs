@@ -16,7 +16,7 @@ use crate::{Color, ContentKind, ElevationSource, Extent, GenArgs, GenError, Proc
 /// Longitude and latitude of the middle of procedural terrain, in degrees.
 const PROCEDURAL_CENTER: [f64; 2] = [8.0, 47.0];
 /// The default number of levels of procedural terrain.
-pub(super) const PROCEDURAL_LEVELS: u32 = 5;
+pub(crate) const PROCEDURAL_LEVELS: u32 = 5;
 /// The opened sources of a run.
 pub(crate) struct Opened<'a> {
     pub grid: &'a Grid<'a>,
