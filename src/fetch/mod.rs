@@ -63,8 +63,7 @@ pub use panic_guard::DECODER_PANICKED;
 pub(crate) use panic_guard::guarded;
 pub(crate) use scope::root_uri_within;
 pub use scope::{RootScope, resolve, root_uri};
-pub use source::Fetched;
-pub(crate) use source::{Loaded, Source};
+pub(crate) use source::{Fetched, Loaded, Source};
 #[cfg(feature = "http")]
 pub(crate) use time_limit::run_within;
 #[cfg(feature = "http")]

@@ -12,7 +12,7 @@ use super::time_limit::DiskThread;
 use super::uri::is_remote;
 
 /// A URI and its bytes, or the reason why they could not be read.
-pub type Fetched = (Arc<str>, Result<Vec<u8>, IoError>);
+pub(crate) type Fetched = (Arc<str>, Result<Vec<u8>, IoError>);
 
 /// The bytes of a URI, and what the server said about them.
 #[derive(Clone, Debug, Default)]

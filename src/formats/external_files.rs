@@ -3,8 +3,7 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use super::options::Fetched;
-use crate::fetch::{IoError, Limits, RootScope, encoding, resolve};
+use crate::fetch::{Fetched, IoError, Limits, RootScope, encoding, resolve};
 
 /// The files that were fetched for a content.
 #[derive(Clone, Copy)]

@@ -10,7 +10,6 @@ use super::osg::ReadAhead;
 use super::overlay::OverlaySet;
 use super::style::Style;
 use super::tile::{TileVolume, UpAxis};
-pub use crate::fetch::Fetched;
 use crate::fetch::{IoError, Limits, RootScope, resolve, shown};
 use crate::math::{Ellipsoid, WGS84};
 use crate::scene::{BlockFormats, Node, ReaderData, SharedStateManager};
@@ -172,6 +171,9 @@ impl ReadOptions {
         self.readers.iter().find(|reader| reader.accepts(uri, bytes)).map(|reader| &**reader)
     }
 }
+
+/// A URI and its bytes, or the reason why they could not be read.
+pub type Fetched = crate::fetch::Fetched;
 
 /// The bytes of one content and of its companions.
 #[derive(Clone, Debug)]
