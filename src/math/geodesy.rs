@@ -130,18 +130,24 @@ impl Ellipsoid {
         let e2 = self.eccentricity_squared();
         let r = p.x.hypot(p.y);
         let longitude = if r > 0.0 { p.y.atan2(p.x) } else { 0.0 };
-        let mut latitude = (p.z).atan2(r * (1.0 - e2));
+        // Sine and cosine of the latitude take a root instead of an angle in each step.
+        let towards = |z: f64, r: f64| {
+            let length = (z * z + r * r).sqrt();
+            if length > 0.0 { (z / length, r / length) } else { (0.0, 1.0) }
+        };
+        let (mut sin, mut cos) = towards(p.z, r * (1.0 - e2));
         let mut height_m = 0.0;
         for _ in 0..if e2.abs() < FLAT { STEPS } else { STEPS_OF_FLAT } {
-            let n = self.prime_vertical_radius_m(latitude);
-            let (s, c) = latitude.sin_cos();
-            height_m = r * c + p.z * s - self.semi_major_m * self.semi_major_m / n;
-            let next = p.z.atan2(r * (1.0 - e2 * n / (n + height_m)));
-            if (next - latitude).abs() < 1e-15 {
+            let flatter = (1.0 - e2 * sin * sin).sqrt();
+            let n = self.semi_major_m / flatter;
+            height_m = r * cos + p.z * sin - self.semi_major_m * flatter;
+            let (next_sin, next_cos) = towards(p.z, r * (1.0 - e2 * n / (n + height_m)));
+            if (next_sin * cos - next_cos * sin).abs() < 1e-15 {
                 break;
             }
-            latitude = next;
+            (sin, cos) = (next_sin, next_cos);
         }
+        let latitude = sin.atan2(cos);
         Geodetic { longitude, latitude, height_m }
     }
 

@@ -254,22 +254,34 @@ impl Lattice {
 struct Numbers {
     /// The vertex of the triangles, and whether it is the one at the bottom of the skirt.
     vertices: Vec<(u16, bool)>,
-    /// The numbers of the vertices of the triangles, at the top and at the bottom.
-    numbers: [Vec<Option<u16>>; 2],
+    /// The numbers of the vertices of the triangles, at the top and at the bottom; [`Self::UNUSED`] before their first use.
+    numbers: [Vec<u16>; 2],
 }
 
 impl Numbers {
+    /// Tiles with their skirts have fewer vertices.
+    const UNUSED: u16 = u16::MAX;
+
     fn new(tin: &Tin) -> Self {
-        let numbers = [0; 2].map(|_| vec![None; tin.vertices.len()]);
+        let numbers = [0; 2].map(|_| vec![Self::UNUSED; tin.vertices.len()]);
         Self { vertices: Vec::with_capacity(tin.vertices.len() + 4 * CELLS), numbers }
     }
 
+    #[inline(always)]
     fn of(&mut self, vertex: u16, is_bottom: bool) -> u16 {
-        *self.numbers[usize::from(is_bottom)][usize::from(vertex)].get_or_insert_with(|| {
+        let number = &mut self.numbers[usize::from(is_bottom)][usize::from(vertex)];
+        if *number == Self::UNUSED {
+            *number = self.vertices.len() as u16;
             self.vertices.push((vertex, is_bottom));
-            (self.vertices.len() - 1) as u16
-        })
+        }
+        *number
     }
+}
+
+/// Returns the edges of the tile that a vertex lies on, a bit for each.
+fn edges_of([i, j]: [u16; 2]) -> u8 {
+    let last = CELLS as u16;
+    u8::from(i == 0) | u8::from(i == last) << 1 | u8::from(j == 0) << 2 | u8::from(j == last) << 3
 }
 
 /// Builds the mesh of [`MeshTile::glb`]. Normals are those of the tile's samples, also where there are fewer vertices. With a normal
@@ -277,15 +289,21 @@ impl Numbers {
 fn build(tile: &MeshTile<'_>, form: &MeshForm, tin: &Tin, skirt_m: f64, look: Look) -> Result<GlbMesh, String> {
     // A triangle whose edge lies on an edge of the tile has a skirt there. Its front faces outwards.
     let mut numbers = Numbers::new(tin);
-    let mut indices = Vec::with_capacity(3 * tin.triangles.len());
+    let mut indices = Vec::with_capacity(3 * tin.triangles.len() + 24 * CELLS);
+    let edges: Vec<u8> = tin.vertices.iter().map(|vertex| edges_of(*vertex)).collect();
     for triangle in &tin.triangles {
-        let corners = triangle.map(|vertex| numbers.of(vertex, false));
-        indices.extend(corners);
+        let [a, b, c] = *triangle;
+        let corners = [numbers.of(a, false), numbers.of(b, false), numbers.of(c, false)];
+        indices.extend_from_slice(&corners);
+        let [of_a, of_b, of_c] = triangle.map(|vertex| edges[usize::from(vertex)]);
+        if (of_a & of_b) | (of_b & of_c) | (of_c & of_a) == 0 {
+            continue;
+        }
         for (k, next) in [(0, 1), (1, 2), (2, 0)] {
-            let [from, to] = [triangle[k], triangle[next]].map(|vertex| tin.vertices[usize::from(vertex)]);
-            if (0..2).any(|c| from[c] == to[c] && (from[c] == 0 || usize::from(from[c]) == CELLS)) {
+            let [from, to] = [triangle[k], triangle[next]];
+            if edges[usize::from(from)] & edges[usize::from(to)] != 0 {
                 let [a, b] = [corners[k], corners[next]];
-                let [c, d] = [triangle[k], triangle[next]].map(|vertex| numbers.of(vertex, true));
+                let [c, d] = [from, to].map(|vertex| numbers.of(vertex, true));
                 indices.extend([a, c, d, a, d, b]);
             }
         }
@@ -298,6 +316,8 @@ fn build(tile: &MeshTile<'_>, form: &MeshForm, tin: &Tin, skirt_m: f64, look: Lo
     let mut map = form.has_normal_map.then(|| normal_map(&lattice)).transpose()?;
     let mut mesh =
         GlbMesh { base_color: [1.0; 4], image, roughness, quantized: form.is_quantized, indices, ..GlbMesh::default() };
+    mesh.positions.reserve(numbers.vertices.len());
+    mesh.normals.reserve(numbers.vertices.len());
     for (vertex, is_bottom) in numbers.vertices {
         let [i, j] = tin.vertices[usize::from(vertex)].map(i64::from);
         let place = lattice.at(i, j);

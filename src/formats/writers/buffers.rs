@@ -120,8 +120,10 @@ impl Buffers {
 
     fn encode(&mut self, bytes: &[u8], count: usize, stride: usize, mode: Mode) -> Option<Vec<u8>> {
         let indices = || -> Vec<u32> {
-            let wide = |bytes: &[u8]| bytes.iter().rev().fold(0, |number, byte| number << 8 | u32::from(*byte));
-            bytes.chunks_exact(stride).map(wide).collect()
+            match stride {
+                2 => bytes.as_chunks().0.iter().map(|bytes| u32::from(u16::from_le_bytes(*bytes))).collect(),
+                _ => bytes.as_chunks().0.iter().map(|bytes| u32::from_le_bytes(*bytes)).collect(),
+            }
         };
         let workspace = &mut self.workspace;
         // EXT_meshopt_compression has version 0 of the format of attributes.

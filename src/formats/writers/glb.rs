@@ -85,12 +85,13 @@ impl Grid {
     }
 }
 
+/// Rounds to the nearest step, as conversions cut off. The function `round` would be a call.
 fn unorm16(x: f32) -> u16 {
-    (x * 65535.0).round() as u16
+    (x * 65535.0 + 0.5) as u16
 }
 
 fn snorm8(x: f32) -> i8 {
-    (x * 127.0).round() as i8
+    (x * 127.0 + 0.5f32.copysign(x)) as i8
 }
 
 /// Returns the MIME type of an image file, and the extension that a texture of it needs.

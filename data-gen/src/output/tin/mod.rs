@@ -10,12 +10,16 @@
 //! | `surface` | the samples that are triangulated |
 //! | `edge` | the vertices on an edge of a tile |
 //! | `triangulation` | the Delaunay triangulation of lattice points |
+//! | `rows` | the samples of a triangle, row by row |
+//! | `shapes` | tables of the samples of small triangles |
 //! | `insertion` | greedy insertion inside a tile |
 //! | `distance` | the largest distance between the triangles and the grid |
 
 mod distance;
 mod edge;
 mod insertion;
+mod rows;
+mod shapes;
 mod surface;
 mod triangulation;
 

@@ -1,11 +1,16 @@
 //! [`Surface`]: the samples of a tile as a surface whose triangles are flat.
 
+use super::rows::MAX_CELLS;
+
+/// The samples from one row to the next.
+pub(super) const STRIDE: usize = MAX_CELLS as usize + 1;
+
 /// The samples of a tile. Triangles between them are flat in space, but the earth is round. Heights are lowered by the
 /// bulge of the earth above a plane, so that a flat triangle is linear in column and row. The vertical distance of two surfaces is
 /// then the difference of their values.
 pub(crate) struct Surface {
     side: usize,
-    /// Lowered heights in metres, southern row first, each row from west to east.
+    /// Lowered heights in metres, southern row first, each row from west to east and filled up to [`STRIDE`] samples.
     values_m: Vec<f64>,
     /// The triangles of each cell that have data, south-eastern and north-western, of the tile and of one cell around it; empty
     /// if all have.
@@ -13,7 +18,7 @@ pub(crate) struct Surface {
 }
 
 impl Surface {
-    /// Creates the surface of `side * side` samples, `side` at least 2. `curvature_m` returns for a row the height in metres by
+    /// Creates the surface of `side * side` samples, `side` at least 2 and at most [`STRIDE`]. `curvature_m` returns for a row the height in metres by
     /// which the earth falls below its tangent plane within one cell eastwards and one northwards. `has_data` returns which
     /// triangles of a cell have data; cells outside of the tile, from -1 to `side - 1`, belong to its neighbours.
     pub fn new(
@@ -23,7 +28,7 @@ impl Surface {
         has_data: Option<&dyn Fn(i64, i64) -> [bool; 2]>,
     ) -> Self {
         let middle = 0.5 * (side - 1) as f64;
-        let mut values_m = Vec::with_capacity(side * side);
+        let mut values_m = Vec::with_capacity(side * STRIDE);
         for j in 0..side {
             let [east_m, north_m] = curvature_m(j as i64);
             let row_m = north_m * (j as f64 - middle).powi(2);
@@ -31,6 +36,7 @@ impl Surface {
                 let bulge_m = east_m * (i as f64 - middle).powi(2) + row_m;
                 f64::from(height_m(i as i64, j as i64)) - bulge_m
             }));
+            values_m.resize((j + 1) * STRIDE, 0.0);
         }
         let cells = -1..side as i64;
         let data = has_data.map_or_else(Vec::new, |has_data| {
@@ -51,14 +57,38 @@ impl Surface {
     }
 
     /// Returns the lowered height of a sample in metres.
-    pub fn at(&self, [i, j]: [i32; 2]) -> f64 {
-        self.values_m[j as usize * self.side + i as usize]
+    #[inline(always)]
+    pub fn at(&self, sample: [i32; 2]) -> f64 {
+        self.values_m[Self::index(sample)]
+    }
+
+    /// Returns the index of a sample among [`Self::values_m`].
+    #[inline(always)]
+    pub fn index([i, j]: [i32; 2]) -> usize {
+        j as usize * STRIDE + i as usize
+    }
+
+    /// Returns all lowered heights in metres, in rows of [`STRIDE`].
+    #[inline(always)]
+    pub fn values_m(&self) -> &[f64] {
+        &self.values_m
     }
 
     /// Returns the lowered heights of a part of a row.
     pub fn row(&self, j: i32, from: i32, to: i32) -> &[f64] {
-        let first = j as usize * self.side;
+        let first = j as usize * STRIDE;
         &self.values_m[first + from as usize..=first + to as usize]
+    }
+
+    /// Returns for the samples of a row inside of the surface, from a column to the one before another, their distance in metres from the
+    /// middle of the neighbours to both sides: the larger one of west and east, and of south and north.
+    #[inline(always)]
+    pub fn bends_m(&self, j: i32, from: i32, end: i32) -> impl Iterator<Item = f64> {
+        let [south, own, north] = [j - 1, j, j + 1].map(|j| self.row(j, from - 1, end));
+        own.windows(3).zip(south[1..].iter().zip(&north[1..])).map(|(along, (south, north))| {
+            let (across, along) = (along[1] - 0.5 * (south + north), along[1] - 0.5 * (along[0] + along[2]));
+            across.abs().max(along.abs())
+        })
     }
 
     /// Returns which triangles of a cell have data: the south-eastern and the north-western one. Cells from -1 to `side - 1`.

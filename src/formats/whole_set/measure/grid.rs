@@ -2,16 +2,23 @@
 
 use super::place::{MapFrame, Place};
 
+/// The margin around a triangle as a share of its size: more than twice the share that [`super::surface`] adds to one.
+const MARGIN: f64 = 4e-3;
 /// The maximum number of cells along a side.
 const MAX_SIDE: usize = 512;
 
 /// Cells over a rectangle of the map, each with the triangles that touch it.
 pub(super) struct Grid {
-    rectangle: [f64; 4],
+    /// The smallest x and y on the map.
+    origin: [f64; 2],
+    /// The cells of one along x and along y.
+    cells_per: [f64; 2],
     side: usize,
     /// The first triangle of each cell in `triangles`; one more than cells.
     first: Vec<u32>,
     triangles: Vec<u32>,
+    /// The smallest x and y of each triangle on the map, then the largest, with a margin for rounding.
+    bounds: Vec<[f64; 4]>,
     /// The shorter side of a cell, metres.
     cell_m: f64,
 }
@@ -23,25 +30,30 @@ impl Grid {
         let farthest = if south.abs() > north.abs() { south } else { north };
         let [per_x, per_y] = frame.metres(farthest);
         let cell_m = (per_x * (east - west)).min(per_y * (north - south)) / side as f64;
-        let mut grid = Self { rectangle, side, first: vec![0; side * side + 1], triangles: Vec::new(), cell_m };
-        let touched = |t: &[u32; 3]| {
+        let (first, bounds) = (vec![0; side * side + 1], Vec::with_capacity(triangles.len()));
+        let (origin, cells_per) = ([west, south], [east - west, north - south].map(|length| side as f64 / length));
+        let mut grid = Self { origin, cells_per, side, first, triangles: Vec::new(), bounds, cell_m };
+        let touched = |grid: &mut Self, t: &[u32; 3]| {
             let corners = t.map(|i| &vertices[i as usize]);
             let mut bounds = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
             corners.iter().for_each(|corner| super::place::extend(&mut bounds, corner.at));
-            if corners.iter().any(|corner| frame.is_pole(corner.at[1])) {
+            let has_pole = corners.iter().any(|corner| frame.is_pole(corner.at[1]));
+            if has_pole {
                 (bounds[0], bounds[2]) = (west, east);
             }
             // Chords of a parallel run nearer to the pole.
-            let width = bounds[2] - bounds[0];
+            let [width, height] = [bounds[2] - bounds[0], bounds[3] - bounds[1]];
             let bulge = if frame.is_globe() { width * width / 16.0 } else { 0.0 };
-            let from = grid.cell([bounds[0], bounds[1] - bulge]);
-            let to = grid.cell([bounds[2], bounds[3] + bulge]);
+            let [from, to] = [[bounds[0], bounds[1] - bulge], [bounds[2], bounds[3] + bulge]].map(|at| grid.cell(at));
+            // At a pole places have any longitude.
+            let dx = if has_pole { f64::INFINITY } else { MARGIN * width };
+            let dy = MARGIN * height + bulge;
+            grid.bounds.push([bounds[0] - dx, bounds[1] - dy, bounds[2] + dx, bounds[3] + dy]);
             (from, to)
         };
-        let ranges: Vec<_> = triangles.iter().map(touched).collect();
-        let cells = |([x0, y0], [x1, y1]): &([usize; 2], [usize; 2])| {
-            let (x0, x1) = (*x0, *x1);
-            (*y0..=*y1).flat_map(move |y| (x0..=x1).map(move |x| y * side + x))
+        let ranges: Vec<_> = triangles.iter().map(|triangle| touched(&mut grid, triangle)).collect();
+        let cells = |&([x0, y0], [x1, y1]): &([usize; 2], [usize; 2])| {
+            (y0..=y1).flat_map(move |y| (x0..=x1).map(move |x| y * side + x))
         };
         for range in &ranges {
             cells(range).for_each(|cell| grid.first[cell + 1] += 1);
@@ -61,14 +73,9 @@ impl Grid {
     }
 
     /// Returns the column and row of the nearest cell.
-    fn cell(&self, [x, y]: [f64; 2]) -> [usize; 2] {
-        let [west, south, east, north] = self.rectangle;
-        let number = |value: f64, low: f64, high: f64| {
-            let share = (value - low) / (high - low);
-            // A conversion of NaN, where there is no extent, is 0.
-            ((share * self.side as f64) as usize).min(self.side - 1)
-        };
-        [number(x, west, east), number(y, south, north)]
+    fn cell(&self, at: [f64; 2]) -> [usize; 2] {
+        // A conversion of NaN, where there is no extent, is 0.
+        [0, 1].map(|k| (((at[k] - self.origin[k]) * self.cells_per[k]) as usize).min(self.side - 1))
     }
 
     fn of_cell(&self, x: usize, y: usize) -> &[u32] {
@@ -76,10 +83,13 @@ impl Grid {
         &self.triangles[self.first[cell] as usize..self.first[cell + 1] as usize]
     }
 
-    /// Returns the triangles at a place of the map.
-    pub fn at(&self, at: [f64; 2]) -> &[u32] {
+    /// Returns the triangles whose bounds on the map contain a place.
+    pub fn at(&self, at: [f64; 2]) -> impl Iterator<Item = u32> {
         let [x, y] = self.cell(at);
-        self.of_cell(x, y)
+        self.of_cell(x, y).iter().copied().filter(move |triangle| {
+            let [west, south, east, north] = self.bounds[*triangle as usize];
+            (west <= at[0]) & (at[0] <= east) & (south <= at[1]) & (at[1] <= north)
+        })
     }
 
     /// Visits the triangles of cells in rings around a place, with a distance in metres that all of them have at least, until

@@ -1,5 +1,6 @@
 //! Measures the tiles of a set while it is read, depth first: what a tile draws is compared with the tiles above it, which are
-//! in memory, and its edges with those of neighbours that wait. Blocking jobs; not for frames.
+//! in memory, and its edges with those of neighbours that wait. Threads share the distances of a finest tile. Blocking jobs; not for
+//! frames.
 //!
 //! ```text
 //! place    positions of a set as places on a map with heights
@@ -17,6 +18,7 @@ mod surface;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::DAffine3;
 
@@ -38,6 +40,9 @@ const SLACK_M: f64 = 0.01;
 const SLACK_SHARE: f64 = 2e-5;
 /// The maximum number of vertices of a tile whose distance from another one is measured, where that is not vertical.
 const MAX_POINTS: usize = 2_000;
+
+/// The number of vertices from which on threads share them: with fewer, their start takes longer.
+const MIN_SHARED_POINTS: usize = 8_000;
 
 /// What a tile declares.
 pub(super) struct Declared {
@@ -101,12 +106,14 @@ pub(super) struct Measuring {
     /// From the root to the current tile.
     path: Vec<OpenTile>,
     edges: Edges,
+    processors: usize,
 }
 
 impl Measuring {
     pub fn new(frame: MapFrame, has_own_errors: bool) -> Self {
         let (levels, problems, path) = Default::default();
-        Self { frame, has_own_errors, levels, problems, path, edges: Edges::default() }
+        let processors = std::thread::available_parallelism().map_or(1, usize::from);
+        Self { frame, has_own_errors, levels, problems, path, edges: Edges::default(), processors }
     }
 
     /// Returns the number of edges that were not compared, since too many others waited.
@@ -220,29 +227,30 @@ impl Measuring {
             }
         }
 
-        let mut is_next = true;
-        for above in self.path.iter_mut().rev().filter(|_| !is_further) {
-            if above.declared.refine != Refine::Replace {
-                break;
+        // A leaf is compared with all tiles above that it replaces, another tile with the next one.
+        let replaced = self.path.iter_mut().rev().take_while(|above| above.declared.refine == Refine::Replace);
+        let mut compared: Vec<&mut OpenTile> =
+            replaced.filter(|above| above.surface.is_some() && !is_further).collect();
+        compared.truncate(if *has_children { 1 } else { usize::MAX });
+        let coarse: Vec<&Surface> = compared.iter().filter_map(|above| above.surface.as_ref()).collect();
+        if let Some(next) = coarse.first()
+            && let Some(difference_m) = difference_to_coarser_m(&surface, next)
+        {
+            raise(&mut self.levels.entry(*level).or_default().measures.edge_to_coarser_m, difference_m);
+        }
+        let are_fields: Vec<bool> =
+            coarse.iter().map(|coarse| coarse.is_height_field && surface.is_height_field).collect();
+        let errors_m = largest_distances_m(&surface, &coarse, self.processors);
+        for (number, (above, error_m)) in compared.iter_mut().zip(errors_m).enumerate() {
+            let Some(error_m) = error_m else { continue };
+            if number == 0 {
+                raise(&mut above.to_next_m, error_m);
             }
-            let Some(coarse) = &above.surface else { continue };
-            if is_next && let Some(difference_m) = difference_to_coarser_m(&surface, coarse) {
-                raise(&mut self.levels.entry(*level).or_default().measures.edge_to_coarser_m, difference_m);
+            if !has_children {
+                raise(&mut above.to_finest_m, error_m);
             }
-            if let Some(error_m) = largest_distance_m(&surface, coarse) {
-                if is_next {
-                    raise(&mut above.to_next_m, error_m);
-                }
-                if !has_children {
-                    raise(&mut above.to_finest_m, error_m);
-                }
-                if !has_children && surface.is_height_field && coarse.is_height_field {
-                    raise(&mut above.vertical_to_finest_m, error_m);
-                }
-            }
-            is_next = false;
-            if *has_children {
-                break;
+            if !has_children && are_fields[number] {
+                raise(&mut above.vertical_to_finest_m, error_m);
             }
         }
         let uri = uri.clone();
@@ -295,10 +303,36 @@ impl Measuring {
     }
 }
 
+/// Returns for each coarser tile what [`largest_distance_m`] does, on as many threads as there are processors, one tile at a time.
+fn largest_distances_m(fine: &Surface, coarse: &[&Surface], processors: usize) -> Vec<Option<f64>> {
+    let points: usize = coarse.iter().map(|coarse| fine.vertices.len() + coarse.vertices.len()).sum();
+    let others = coarse.len().min(processors).saturating_sub(1);
+    if points < MIN_SHARED_POINTS || others == 0 {
+        return coarse.iter().map(|coarse| largest_distance_m(fine, coarse)).collect();
+    }
+    let next = AtomicUsize::new(0);
+    let work = || {
+        let numbers = std::iter::repeat_with(|| next.fetch_add(1, Ordering::Relaxed));
+        let own = numbers.map_while(|number| Some((number, largest_distance_m(fine, coarse.get(number)?))));
+        own.collect::<Vec<_>>()
+    };
+    let mut found = std::thread::scope(|scope| {
+        // Without further threads this one does all.
+        let start = |_| std::thread::Builder::new().name("measure".to_owned()).spawn_scoped(scope, work).ok();
+        let threads: Vec<_> = (0..others).filter_map(start).collect();
+        let mut found = work();
+        for thread in threads {
+            found.extend(thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
+        }
+        found
+    });
+    found.sort_by_key(|(number, _)| *number);
+    found.into_iter().map(|(_, error_m)| error_m).collect()
+}
+
 /// Returns the largest distance between a tile and a coarser one, at the vertices of both, metres; `None` if they do not lie
 /// above each other.
 fn largest_distance_m(fine: &Surface, coarse: &Surface) -> Option<f64> {
-    let frame = fine.frame;
     let mut largest: Option<f64> = None;
     let mut add =
         |distance_m: Option<f64>| distance_m.into_iter().for_each(|distance_m| raise(&mut largest, distance_m));
@@ -307,12 +341,12 @@ fn largest_distance_m(fine: &Surface, coarse: &Surface) -> Option<f64> {
         fine.vertices.iter().step_by(step).for_each(|vertex| add(coarse.distance_m(vertex)));
         return largest;
     }
-    for vertex in &fine.vertices {
-        add(coarse.vertical_distance_m(vertex, &frame.axes(vertex)));
+    for (vertex, axes) in fine.vertices.iter().zip(&fine.axes) {
+        add(coarse.vertical_distance_m(vertex, axes));
     }
     if !(fine.is_samples && coarse.is_samples) {
-        for vertex in coarse.vertices.iter().filter(|vertex| fine.contains(vertex)) {
-            add(fine.vertical_distance_m(vertex, &frame.axes(vertex)));
+        for (vertex, axes) in coarse.vertices.iter().zip(&coarse.axes).filter(|(vertex, _)| fine.contains(vertex)) {
+            add(fine.vertical_distance_m(vertex, axes));
         }
     }
     largest
@@ -352,4 +386,46 @@ fn textures(node: &Node, files: &ImageFiles) -> Vec<String> {
         format!("{format} {} x {}", texture.width, texture.height)
     };
     known.iter().map(name).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::WGS84;
+    use crate::scene::{Drawable, Material, Mesh, MeshVertex, Topology};
+
+    /// A square of the globe with `side` vertices along its sides, at the heights of a function of column and row, in degrees.
+    fn square(side: usize, height_m: impl Fn(f64, f64) -> f64) -> Surface {
+        let frame = MapFrame::Globe(WGS84);
+        let share = |k: usize| k as f64 / (side - 1) as f64;
+        let origin = frame.place_at([0.2, 0.8], 0.0).position;
+        let vertices = (0..side * side).map(|k| (share(k % side), share(k / side))).map(|(u, v)| {
+            let place = frame.place_at([0.2 + 1e-3 * u, 0.8 + 1e-3 * v], height_m(u, v));
+            MeshVertex { position: (place.position - origin).as_vec3().to_array(), ..MeshVertex::default() }
+        });
+        let cells = (0..(side - 1) * (side - 1)).map(|k| (k / (side - 1) * side + k % (side - 1)) as u32);
+        let above = side as u32;
+        let indices = cells.flat_map(|sw| [sw, sw + 1, sw + above + 1, sw, sw + above + 1, sw + above]);
+        let mesh = Mesh::new(vertices.collect(), indices.collect(), Topology::Triangles);
+        let drawable = Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default());
+        let node = Node::new(NodeKind::Geode(vec![drawable]));
+        Surface::of_meshes(&node, &DAffine3::from_translation(origin), frame).unwrap()
+    }
+
+    #[test]
+    fn distances_from_coarser_tiles_do_not_depend_on_threads() {
+        let height_m = |u: f64, v: f64| 100.0 * (9.0 * u).sin() * (7.0 * v).cos();
+        let fine = square(65, height_m);
+        let coarse = [33, 17, 9, 5].map(|side| square(side, height_m));
+        let coarse: Vec<&Surface> = coarse.iter().collect();
+        let alone = largest_distances_m(&fine, &coarse, 1);
+        assert_eq!(largest_distances_m(&fine, &coarse, 3), alone);
+        // The coarser the farther, and every vertex has a triangle below or above it.
+        assert!(alone.windows(2).all(|two| two[0] < two[1]), "{alone:?}");
+        assert!(
+            alone[0].is_some_and(|m| (0.1..2.0).contains(&m)) && alone[3].is_some_and(|m| (20.0..200.0).contains(&m))
+        );
+        let mut above = fine.vertices.iter().zip(&fine.axes);
+        assert!(above.all(|(place, axes)| coarse[3].vertical_distance_m(place, axes).is_some()));
+    }
 }

@@ -58,11 +58,9 @@ impl MapFrame {
     pub(super) fn axes(self, place: &Place) -> [DVec3; 3] {
         match self {
             Self::Local => [DVec3::X, DVec3::Y, DVec3::Z],
-            Self::Globe(ellipsoid) => {
-                let [longitude, latitude] = place.at;
-                let up = ellipsoid.up(&Geodetic { longitude, latitude, height_m: 0.0 });
-                let (sin, cos) = longitude.sin_cos();
-                let east = dvec3(-sin, cos, 0.0);
+            Self::Globe(_) => {
+                let [(sin, cos), (sin_lat, cos_lat)] = place.at.map(f64::sin_cos);
+                let (east, up) = (dvec3(-sin, cos, 0.0), dvec3(cos_lat * cos, cos_lat * sin, sin_lat));
                 [east, up.cross(east), up]
             }
         }
@@ -71,8 +69,9 @@ impl MapFrame {
     /// Returns the longitude, or x, that is nearest to another one.
     pub(super) fn near(self, x: f64, other: f64) -> f64 {
         match self {
-            Self::Globe(_) => x - ((x - other) / TAU).round() * TAU,
-            Self::Local => x,
+            // Most are near: rounding would be a call.
+            Self::Globe(_) if (x - other).abs() >= 0.5 * TAU => x - ((x - other) / TAU).round() * TAU,
+            _ => x,
         }
     }
 

@@ -36,6 +36,8 @@ pub(super) struct Profile {
 pub(super) struct Surface {
     pub frame: MapFrame,
     pub vertices: Vec<Place>,
+    /// The directions east, north and up at each vertex: it is compared with each tile above.
+    pub axes: Vec<[DVec3; 3]>,
     triangles: Vec<[u32; 3]>,
     /// The smallest x and y on the map, then the largest.
     pub rectangle: [f64; 4],
@@ -93,7 +95,8 @@ impl Surface {
         });
         let skirt_m = Some([f64::from(tile.skirt_m); 2]);
         let triangles = triangles.collect();
-        Some(Self { is_samples: true, ..Self::new(frame, vertices, triangles, skirt_m)? })
+        let axes = vertices.iter().map(|vertex| frame.axes(vertex)).collect();
+        Some(Self { is_samples: true, ..Self::new(frame, vertices, axes, triangles, skirt_m)? })
     }
 
     /// Returns the surface of the meshes of a content; `None` if there are none, or too large ones.
@@ -122,10 +125,11 @@ impl Surface {
             return None;
         }
         unwrap(frame, &mut vertices);
+        let axes: Vec<[DVec3; 3]> = vertices.iter().map(|vertex| frame.axes(vertex)).collect();
         // Without its skirts the ground has one height at a place. Upright sides of other models are walls.
         let skirts = Skirts::find(&vertices, &triangles, frame).filter(|skirts| {
             let ground: Vec<[u32; 3]> = triangles.iter().copied().filter(|t| !skirts.is_skirt(*t)).collect();
-            !ground.is_empty() && is_height_field(frame, &vertices, &ground)
+            !ground.is_empty() && is_height_field(&vertices, &axes, &ground)
         });
         let kept: Vec<[u32; 3]> = match &skirts {
             Some(skirts) => triangles.into_iter().filter(|t| !skirts.is_skirt(*t)).collect(),
@@ -133,22 +137,24 @@ impl Surface {
         };
         // Vertices that no triangle of the ground has are left out.
         let mut numbers = vec![u32::MAX; vertices.len()];
-        let mut ground = Vec::new();
+        let (mut ground, mut ground_axes) = (Vec::new(), Vec::new());
         let mut number_of = |i: u32| {
             let number = &mut numbers[i as usize];
             if *number == u32::MAX {
                 *number = ground.len() as u32;
                 ground.push(vertices[i as usize]);
+                ground_axes.push(axes[i as usize]);
             }
             *number
         };
         let kept: Vec<[u32; 3]> = kept.into_iter().map(|t| t.map(&mut number_of)).collect();
-        Self::new(frame, ground, kept, skirts.map(|skirts| skirts.depth_m))
+        Self::new(frame, ground, ground_axes, kept, skirts.map(|skirts| skirts.depth_m))
     }
 
     fn new(
         frame: MapFrame,
         mut vertices: Vec<Place>,
+        axes: Vec<[DVec3; 3]>,
         triangles: Vec<[u32; 3]>,
         skirt_m: Option<[f64; 2]>,
     ) -> Option<Self> {
@@ -164,10 +170,10 @@ impl Surface {
             vertices.iter_mut().for_each(|vertex| vertex.at[0] += shift);
         }
         let profiles = profiles(frame, &vertices, &triangles, rectangle);
-        let is_height_field = is_height_field(frame, &vertices, &triangles);
+        let is_height_field = is_height_field(&vertices, &axes, &triangles);
         let grid = Grid::new(frame, &vertices, &triangles, rectangle);
         let is_samples = false;
-        Some(Self { frame, vertices, triangles, rectangle, skirt_m, profiles, is_height_field, is_samples, grid })
+        Some(Self { frame, vertices, axes, triangles, rectangle, skirt_m, profiles, is_height_field, is_samples, grid })
     }
 
     pub fn triangle_count(&self) -> usize {
@@ -188,8 +194,8 @@ impl Surface {
 
     /// Returns true if the rectangle of the surface contains a place.
     pub fn contains(&self, place: &Place) -> bool {
-        let ([x, y], [west, south, east, north]) = (self.own_at(place), self.rectangle);
-        (west..=east).contains(&x) && (south..=north).contains(&y)
+        let [west, south, east, north] = self.rectangle;
+        (south..=north).contains(&place.at[1]) && (west..=east).contains(&self.own_at(place)[0])
     }
 
     /// Returns the vertical distance of a point from the triangle below or above it, metres. `axes` are those of its place.
@@ -199,7 +205,7 @@ impl Surface {
         let mut best: Option<(f64, f64)> = None;
         for triangle in self.grid.at(self.own_at(place)) {
             let corners =
-                self.triangles[*triangle as usize].map(|i| self.vertices[i as usize].position - place.position);
+                self.triangles[triangle as usize].map(|i| self.vertices[i as usize].position - place.position);
             let flat = corners.map(|c| [c.dot(*east), c.dot(*north)]);
             let cross = |a: [f64; 2], b: [f64; 2]| a[0] * b[1] - a[1] * b[0];
             let parts = [cross(flat[1], flat[2]), cross(flat[2], flat[0]), cross(flat[0], flat[1])];
@@ -295,17 +301,26 @@ fn profiles(
     [west, south, east, north]: [f64; 4],
 ) -> [Profile; 4] {
     let near = EDGE_SHARE * (east - west).max(north - south);
-    let on = |of: fn([f64; 2]) -> [f64; 2], edge: f64| {
-        let is_on = |vertex: &Place| (of(vertex.at)[0] - edge).abs() <= near;
-        let on_edge = vertices.iter().filter(|vertex| is_on(vertex));
-        let mut points: Vec<[f64; 2]> = on_edge.map(|vertex| [of(vertex.at)[1], vertex.height_m]).collect();
+    let is_near = |value: f64, edge: f64| (value - edge).abs() <= near;
+    // A bit for each edge that a vertex lies on, and the sides of triangles along some edge.
+    let edges_of: Vec<u8> = vertices
+        .iter()
+        .map(|Place { at: [x, y], .. }| {
+            let edges = [is_near(*x, west), is_near(*y, south), is_near(*x, east), is_near(*y, north)];
+            edges.into_iter().zip(0..).map(|(is_on, bit)| u8::from(is_on) << bit).sum()
+        })
+        .collect();
+    let common = |a: u32, b: u32| edges_of[a as usize] & edges_of[b as usize];
+    let sides = triangles.iter().flat_map(|[a, b, c]| [[*a, *b], [*b, *c], [*c, *a]]);
+    let sides: Vec<[u32; 2]> = sides.filter(|[a, b]| common(*a, *b) != 0).collect();
+    let on = |of: fn([f64; 2]) -> [f64; 2], side: usize| {
+        let on_edge = vertices.iter().zip(&edges_of).filter(|(_, edges)| **edges >> side & 1 == 1);
+        let mut points: Vec<[f64; 2]> = on_edge.map(|(vertex, _)| [of(vertex.at)[1], vertex.height_m]).collect();
         points.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
         points.dedup();
-        let sides = triangles.iter().flat_map(|[a, b, c]| [[*a, *b], [*b, *c], [*c, *a]]);
-        let sides = sides.map(|side| side.map(|i| &vertices[i as usize]));
-        let sides = sides.filter(|side| side.iter().all(|vertex| is_on(vertex)));
-        let mut parts: Vec<[f64; 2]> =
-            sides.map(|[a, b]| [of(a.at)[1], of(b.at)[1]]).map(|[from, to]| [from.min(to), from.max(to)]).collect();
+        let along = sides.iter().filter(|[a, b]| common(*a, *b) >> side & 1 == 1);
+        let ends = along.map(|ends| ends.map(|i| of(vertices[i as usize].at)[1]));
+        let mut parts: Vec<[f64; 2]> = ends.map(|[from, to]| [from.min(to), from.max(to)]).collect();
         parts.sort_by(|a, b| a[0].total_cmp(&b[0]));
         let mut covered: Vec<[f64; 2]> = Vec::new();
         for [from, to] in parts {
@@ -316,17 +331,20 @@ fn profiles(
         }
         Profile { points, covered }
     };
-    let across = |edge: f64| if frame.is_pole(edge) { Profile::default() } else { on(|[x, y]| [y, x], edge) };
-    [on(|at| at, west), across(south), on(|at| at, east), across(north)]
+    let across = |edge: f64, side: usize| match frame.is_pole(edge) {
+        true => Profile::default(),
+        false => on(|[x, y]| [y, x], side),
+    };
+    [on(|at| at, WEST), across(south, SOUTH), on(|at| at, EAST), across(north, NORTH)]
 }
 
 /// Returns true if a mesh has one height at a place: nearly no area faces down or is upright.
-fn is_height_field(frame: MapFrame, vertices: &[Place], triangles: &[[u32; 3]]) -> bool {
+fn is_height_field(vertices: &[Place], axes: &[[DVec3; 3]], triangles: &[[u32; 3]]) -> bool {
     let (mut all, mut down) = (0.0, 0.0);
     for triangle in triangles {
         let [a, b, c] = triangle.map(|i| &vertices[i as usize]);
         let normal = (b.position - a.position).cross(c.position - a.position);
-        let [_, _, up] = frame.axes(a);
+        let [_, _, up] = axes[triangle[0] as usize];
         let area = normal.length();
         all += area;
         if normal.dot(up) < 1e-3 * area {
