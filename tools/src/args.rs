@@ -409,6 +409,9 @@ pub enum Bench {
         /// Content of the tiles
         #[arg(long, value_enum, default_value_t = PageContent::Mesh)]
         content: PageContent,
+        /// Page OpenSceneGraph's own files in this folder, as the peer's `osg_page build` writes them
+        #[arg(long, value_name = "FOLDER", conflicts_with_all = ["content", "world", "url"])]
+        osgb: Option<PathBuf>,
         /// Number of copies of the terrain along each side, all from the same files
         #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=16))]
         world: u32,

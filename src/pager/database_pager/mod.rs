@@ -246,12 +246,12 @@ impl DatabasePager {
     }
 
     /// Returns true if tiles were merged since the last [`Self::request`]: a cull may find contents in them to request.
-    pub(crate) fn has_new_tiles(&self) -> bool {
+    pub fn has_new_tiles(&self) -> bool {
         self.control.has_new_tiles
     }
 
     /// Accepts the requests of a cull as [`Self::request`] does, and wakes the threads.
-    pub(crate) fn request_now(&mut self, scenes: &dyn SceneSet, requests: &[PageRequest]) {
+    pub fn request_now(&mut self, scenes: &dyn SceneSet, requests: &[PageRequest]) {
         self.request(scenes, requests);
         self.threads.list().ring_if_due();
     }
@@ -282,7 +282,7 @@ impl DatabasePager {
     }
 
     /// Works as [`Self::work_until`] does until there are new tiles ([`Self::has_new_tiles`]).
-    pub(crate) fn work_until_new_tiles(
+    pub fn work_until_new_tiles(
         &mut self,
         scenes: &mut dyn SceneSet,
         contexts: &mut [&mut dyn CompileContext],

@@ -12,6 +12,7 @@ mod views;
 use std::io::Write as _;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Instant;
 
 use anyhow::{Context as _, Result, anyhow, bail};
 use glam::{DAffine3, DMat4, DVec3};
@@ -121,8 +122,10 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
         // The simulation time of frames is the time on the path, so the path can be announced.
         viewer.view_mut().announced = flight.path.clone();
         while flight.before_frame(&mut viewer)? {
+            let start = Instant::now();
             viewer.frame_at(flight.time_s())?;
             flight.after_frame(&mut viewer)?;
+            flight.load_unseen(&mut viewer, start);
         }
         viewer
     } else {

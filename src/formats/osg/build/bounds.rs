@@ -50,7 +50,7 @@ fn of_drawable(drawable: &DrawableObject) -> BoundingSphere {
         DrawableClass::Geometry(geometry) => {
             let Some(vertices) = &geometry.vertices else { return BoundingSphere::EMPTY };
             let array = &vertices.array;
-            let point = |i| DVec3::new(array.get(i, 0), array.get(i, 1), array.get(i, 2));
+            let point = |i| DVec3::from_array(array.first(i));
             let points = (0..array.count()).map(point).filter(|point| point.is_finite());
             box_sphere(&Aabb::from_points(points))
         }

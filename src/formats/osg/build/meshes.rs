@@ -163,9 +163,9 @@ impl<'a> Attribute<'a> {
         }
     }
 
-    /// Returns a value; integers are divided by their largest value if `scales`.
-    fn get(&self, corner: Corner, component: usize, scales: bool) -> f64 {
-        self.array.get(self.element(corner), component, scales)
+    /// Returns the first values; integers are divided by their largest value if `scales`.
+    fn first<const N: usize>(&self, corner: Corner, scales: bool) -> [f64; N] {
+        self.array.first(self.element(corner), scales)
     }
 
     fn width(&self) -> usize {
@@ -179,20 +179,19 @@ impl BoundArray {
         self.indices.as_ref().map_or(self.array.count(), |indices| indices.count())
     }
 
-    fn get(&self, element: usize, component: usize, scales: bool) -> f64 {
+    fn first<const N: usize>(&self, element: usize, scales: bool) -> [f64; N] {
         let element = match &self.indices {
             Some(indices) => indices.get(element, 0).max(0.0) as usize,
             None => element,
         };
-        let value = self.array.get(element, component);
-        if scales { value / self.array.values.number().one() } else { value }
+        let values = self.array.first(element);
+        if scales { values.map(|value| value / self.array.values.number().one()) } else { values }
     }
 }
 
 impl Arrays<'_> {
     fn position(&self, vertex: usize) -> DVec3 {
-        let part = |component| self.positions.get(vertex, component, self.positions.is_normalized);
-        DVec3::new(part(0), part(1), part(2))
+        DVec3::from_array(self.positions.first(vertex, self.positions.is_normalized))
     }
 
     /// Returns texture coordinates; zeros if the geometry has none.
@@ -200,7 +199,7 @@ impl Arrays<'_> {
         match &uvs.array {
             _ if uvs.set.is_of_positions() => uvs.set.mapped(self.position(corner.vertex)),
             Some(array) => {
-                let [s, t] = [0, 1].map(|component| array.get(corner, component, array.array.is_normalized));
+                let [s, t] = array.first(corner, array.array.is_normalized);
                 uvs.set.mapped(DVec3::new(s, t, 0.0))
             }
             None => [0.0; 2],
@@ -211,17 +210,15 @@ impl Arrays<'_> {
         let position = (self.position(corner.vertex) - self.origin).as_vec3().to_array();
         let uv = self.uv(&self.uvs, corner);
         let normal = self.normals.map_or([0; 4], |normals| {
-            let part = |component| normals.get(corner, component, true);
-            let normal = DVec3::new(part(0), part(1), part(2)).normalize_or_zero();
-            let [x, y, z] = normal.to_array().map(|part| (part * 127.0).round() as i8);
+            let normal = DVec3::from_array(normals.first(corner, true)).normalize_or_zero();
+            // The cast cuts, as rounding is a call on processors without an instruction for it.
+            let [x, y, z] = normal.to_array().map(|part| (part * 127.0 + 0.5_f64.copysign(part)) as i8);
             [x, y, z, 0]
         });
         let color = self.colors.map_or([255; 4], |colors| {
-            let part = |component| match component < colors.width() {
-                true => colors.get(corner, component, true) as f32,
-                false => 1.0,
-            };
-            linear_rgba([part(0), part(1), part(2), part(3)]).map(|part| (part * 255.0).round() as u8)
+            let mut color: [f64; 4] = colors.first(corner, true);
+            color.iter_mut().skip(colors.width()).for_each(|part| *part = 1.0);
+            linear_rgba(color.map(|part| part as f32)).map(|part| (part * 255.0).round() as u8)
         });
         MeshVertex { position, uv, normal, color }
     }

@@ -51,4 +51,13 @@ impl ArrayObject {
     pub fn get(&self, element: usize, component: usize) -> f64 {
         if component < self.width { self.values.get(element * self.width + component) } else { 0.0 }
     }
+
+    /// Returns the first values of an element; 0 for those that it lacks.
+    #[inline]
+    pub fn first<const N: usize>(&self, element: usize) -> [f64; N] {
+        match N <= self.width {
+            true => self.values.array(element * self.width),
+            false => std::array::from_fn(|component| self.get(element, component)),
+        }
+    }
 }

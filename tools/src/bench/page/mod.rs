@@ -2,10 +2,11 @@
 //!
 //! Prints one JSON object per phase with the peer's field names. A file is one tile here and four in the peer. The times
 //! of frames exclude the uploads and merges between frames (`between`); the peer's include its merges. If that work takes
-//! too long, the next frame is `late`.
+//! too long, the next frame is `late`. With `--osgb` the peer's own files are paged.
 
 mod tiles;
 
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail, ensure};
@@ -14,7 +15,7 @@ use glam::{DAffine3, DVec3};
 use serde_json::{Value, json};
 use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::fetch::Limits;
-use terrane::formats::ReadOptions;
+use terrane::formats::{Content, ReadOptions, decode};
 use terrane::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
 use terrane::pager::{
     CompileContext, DatabasePager, EyeMotion, MotionLooks, PagerConfig, PagerStats, PathLooks, frames_until,
@@ -39,6 +40,8 @@ pub struct Options {
     pub tiles: usize,
     /// The content of the tiles.
     pub content: PageContent,
+    /// The folder of the peer's own files, which are paged instead.
+    pub osgb: Option<PathBuf>,
     /// The number of copies of the terrain along each side, all from the same files.
     pub world: u32,
     /// The speed of a straight flight, in metres per second, instead of the peer's path.
@@ -159,25 +162,16 @@ pub fn run(options: Options) -> Result<()> {
     ensure!(options.frames >= 2, "--frames must be at least 2");
     ensure!(options.look_ahead_s.is_finite() && options.look_ahead_s >= 0.0, "--look-ahead must be zero or above");
     ensure!(options.world >= 1, "--world must be at least 1");
-    let folder = tiles::tiles()?;
-    let mut scene = Scene::new();
-    let base = match &options.url {
-        Some(url) => {
-            eprintln!("the tiles are in {}", folder.display());
-            format!("{}/", url.trim_end_matches('/'))
-        }
-        None => format!("{}/", folder.to_str().context("the cache folder's path is not UTF-8")?),
+    let (read, root) = match &options.osgb {
+        Some(folder) => osgb_terrain(folder)?,
+        None => terrain(&options)?,
     };
-    let terrain = ROOT.node(&base, options.content);
-    let beside = |n: u32| DVec3::new(f64::from(n % options.world), f64::from(n / options.world), 0.0) * WORLD_M;
-    let terrains = (0..options.world * options.world)
-        .map(|n| Node::transform(DAffine3::from_translation(beside(n)), vec![terrain.clone()]));
-    scene.add_root(Page::from_node(if options.world == 1 { terrain } else { Node::group(terrains.collect()) })?);
+    let mut scene = Scene::new();
+    scene.add_root(root);
     let traits = |adapter| ContextTraits { size_px: [64, 64], adapter, ..ContextTraits::default() };
     let mut graphics = GraphicsContext::new_offscreen(&traits(AdapterChoice::Software))
         .or_else(|_| GraphicsContext::new_offscreen(&traits(AdapterChoice::Noop)))?;
-    let read = ReadOptions::for_root(&format!("{base}{}", ROOT.file("glb")), Limits::default());
-    let http = options.net.http(&base)?;
+    let http = options.net.http(options.url.as_deref().unwrap_or_default())?;
     let config = PagerConfig { max_tiles: options.tiles, http, ..PagerConfig::default() };
     let pager = DatabasePager::new(config, read)?;
     let renderer = options.draw.then(|| terrane::draw::Renderer::new(&mut graphics));
@@ -211,7 +205,54 @@ pub fn run(options: Options) -> Result<()> {
     Ok(())
 }
 
+/// Returns the terrain as a tile tree that names one file for each tile, and how to read these.
+fn terrain(options: &Options) -> Result<(ReadOptions, Page)> {
+    let folder = tiles::tiles()?;
+    let base = match &options.url {
+        Some(url) => {
+            eprintln!("the tiles are in {}", folder.display());
+            format!("{}/", url.trim_end_matches('/'))
+        }
+        None => format!("{}/", folder.to_str().context("the cache folder's path is not UTF-8")?),
+    };
+    let terrain = ROOT.node(&base, options.content);
+    let beside = |n: u32| DVec3::new(f64::from(n % options.world), f64::from(n / options.world), 0.0) * WORLD_M;
+    let terrains = (0..options.world * options.world)
+        .map(|n| Node::transform(DAffine3::from_translation(beside(n)), vec![terrain.clone()]));
+    let root = Page::from_node(if options.world == 1 { terrain } else { Node::group(terrains.collect()) })?;
+    Ok((ReadOptions::for_root(&format!("{base}{}", ROOT.file("glb")), Limits::default()), root))
+}
+
+/// Returns the root of the peer's own files, which name those below them, and how to read these.
+fn osgb_terrain(folder: &Path) -> Result<(ReadOptions, Page)> {
+    let file = folder.join("root.osgb");
+    let uri = file.to_str().with_context(|| format!("the path {} is not UTF-8", file.display()))?;
+    let read = ReadOptions::for_root(uri, Limits::default());
+    // All files are read once, so that the system has them in its cache: the peer is measured warm as well.
+    let unread = || format!("cannot read {}; the peer's `osg_page build` writes it", folder.display());
+    for entry in std::fs::read_dir(folder).with_context(unread)? {
+        std::io::copy(&mut std::fs::File::open(entry?.path())?, &mut std::io::sink())?;
+    }
+    let bytes = std::fs::read(&file).with_context(unread)?;
+    let root = decode(Content { uri: uri.into(), bytes, reader_data: None, companions: Vec::new() }, &read)?;
+    Ok((read, root))
+}
+
 impl Bench {
+    /// Uploads and merges until the next frame. Requests what new tiles name at once, as a viewer does.
+    fn work_until(&mut self, next: Instant, frame: f64) {
+        let camera = self.camera(self.pose(frame), self.frame);
+        loop {
+            let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
+            self.pager.work_until_new_tiles(&mut self.scene, contexts, next);
+            if !self.pager.has_new_tiles() || Instant::now() >= next {
+                return;
+            }
+            self.visitor.traverse(&self.scene, &camera, &mut self.ahead);
+            self.pager.request_now(&self.scene, &self.ahead.requests);
+        }
+    }
+
     fn phase(&mut self, name: &str) -> Result<Value> {
         let fly = name == "fly";
         // The other phases end when no tile is missing.
@@ -263,8 +304,7 @@ impl Bench {
             }
             let now = Instant::now();
             next = (next + period).max(now.checked_sub(period).unwrap_or(now));
-            let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
-            self.pager.work_until(&mut self.scene, contexts, next);
+            self.work_until(next, f64::from(frame));
             let worked = Instant::now();
             times.between.push((worked - now).as_secs_f64());
             std::thread::sleep(next.saturating_duration_since(worked));
@@ -410,8 +450,8 @@ impl Bench {
             "rss_start_mb": round(self.rss_start_mb), "rss_mb": round(status_mb("VmRSS")),
             "peak_rss_mb": round(status_mb("VmHWM")), "cpu_s": round(cpu_s),
         });
-        let label = self.options.content.to_possible_value().map_or_else(String::new, |v| v.get_name().to_owned());
-        line["label"] = label.into();
+        let content = self.options.content.to_possible_value().map_or_else(String::new, |v| v.get_name().to_owned());
+        line["label"] = if self.options.osgb.is_some() { "osgb".into() } else { content.into() };
         for (name, value) in [
             ("hitches_from_paging", (hitches as f64)),
             ("between_p50_ms", ms(&mut times.between, 0.5)),

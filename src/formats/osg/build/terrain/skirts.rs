@@ -42,10 +42,11 @@ fn normal_of(vertex: &MeshVertex) -> DVec3 {
 /// none.
 fn vertical_of(triangle: [&MeshVertex; 3]) -> Option<DVec3> {
     let [a, b, c] = triangle;
-    [[a, b], [b, c], [c, a]].into_iter().find_map(|[from, to]| {
-        let is_alike = from.uv == to.uv && from.normal == to.normal;
+    let is_alike = |from: &MeshVertex, to: &MeshVertex| from.normal == to.normal && from.uv == to.uv;
+    let mut edges = [[a, b], [b, c], [c, a]].into_iter().filter(|[from, to]| is_alike(from, to));
+    edges.find_map(|[from, to]| {
         let [from_m, to_m] = [from, to].map(|vertex| DVec3::from_array(vertex.position.map(f64::from)));
-        let along = (to_m - from_m).try_normalize().filter(|_| is_alike)?;
+        let along = (to_m - from_m).try_normalize()?;
         Some(if along.dot(normal_of(from)) < 0.0 { -along } else { along })
     })
 }
