@@ -76,7 +76,7 @@ pub use events::{
     Bindings, ButtonMask, EventKind, EventMask, EventQueue, EventSource, GuiEventAdapter, GuiEventHandler, InputState,
     Key, Modifiers, MouseButton, TouchPhase, Usage, UserEvent, UserEvents, YOrientation,
 };
-pub use frame::{EnvironmentChanges, FrameStamp, FrameStats, Samples, StatsHistory, ViewerConfig};
+pub use frame::{EnvironmentChanges, FrameStamp, FrameStats, NewStates, Samples, StatsHistory, ViewerConfig};
 pub use ids::{ContextId, SceneId, SlaveId, ViewId};
 pub use input::{
     GuiActionAdapter, MouseCursor, OnPicture, ViewEvent, ViewUpdate, WindowCommand, WindowMatrix, WindowRay,

@@ -1,7 +1,6 @@
 //! One viewer with one view: loading, refinement, reports and the frames it draws.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-mod display;
 mod fade;
 mod flights;
 mod host_device;

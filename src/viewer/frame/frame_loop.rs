@@ -300,10 +300,11 @@ impl FrameLoop {
         let mut overlays = std::mem::take(&mut self.overlays);
         let FrameStamp { frame, simulation_time_s, .. } = self.stamp();
         self.pictures.begin_frame(frame);
-        let pictures = &self.pictures;
+        let (pictures, hides_unready) = (&self.pictures, self.hides_unready());
         let rendered = self.rendering.frame(
             |context| FrameJob {
                 read_back: pictures.reads_back(context, frame),
+                hides_unready,
                 rehearsals: rehearsals.extract_if(.., |(of, ..)| *of == context).map(|(_, s, e)| (s, e)).collect(),
                 #[cfg(feature = "window")]
                 overlays: overlays.extract_if(.., |(of, _)| *of == context).map(|(_, paint)| paint).collect(),

@@ -21,7 +21,7 @@ mod query_answers;
 mod snapshot;
 mod stats;
 
-pub use self::changes::EnvironmentChanges;
+pub use self::changes::{EnvironmentChanges, NewStates};
 pub use self::clock::FrameStamp;
 pub(super) use self::clock::ReferenceClock;
 pub use self::config::ViewerConfig;
