@@ -66,6 +66,18 @@ impl Resources {
         self.vertex_pulling.start_frame();
     }
 
+    /// Prepares something that is drawn without what lacks its pipeline, which is ordered and counted. If `hides` is false,
+    /// missing pipelines are created at once. In a rehearsal, which orders all that is missing, it changes nothing.
+    pub(in crate::draw) fn hide_unready<R>(&mut self, hides: bool, prepare: impl FnOnce(&mut Self) -> R) -> R {
+        if !hides || self.pipelines.pipeline_thread.is_ordering() {
+            return prepare(self);
+        }
+        self.pipelines.pipeline_thread.begin();
+        let prepared = prepare(self);
+        self.stats.pipelines_awaited += self.pipelines.pipeline_thread.end();
+        prepared
+    }
+
     /// Reports errors of pipelines that were created since the last call.
     pub(in crate::draw) fn report_pipeline_errors(&mut self) {
         for error in self.pipelines.take_errors() {

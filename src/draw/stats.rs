@@ -41,6 +41,8 @@ pub struct DrawStats {
     pub pipelines_created: u32,
     /// The number of pipelines that the pipeline thread has created and that are in use since the draw before.
     pub pipelines_created_by_thread: u32,
+    /// How often the draw left something out whose pipeline the pipeline thread has not created yet.
+    pub pipelines_awaited: u32,
     /// The number of pipelines that the pipeline thread has not created yet.
     pub pipelines_in_creation: u32,
     /// The time of all passes on the adapter in milliseconds, of the latest frame whose timestamps have arrived.

@@ -82,7 +82,7 @@ pub use events::{
     Bindings, ButtonMask, EventKind, EventMask, EventQueue, EventSource, GuiEventAdapter, InputState, Key, Modifiers,
     MouseButton, TouchPhase, Usage, UserEvent, UserEvents, YOrientation,
 };
-pub use frame::{EnvironmentChanges, FrameStats, Samples, StatsHistory, ViewerConfig};
+pub use frame::{EnvironmentChanges, FrameStats, NewStates, Samples, StatsHistory, ViewerConfig};
 pub use ids::{ContextId, SceneId, SlaveId, ViewId};
 pub use input::{
     GuiActionAdapter, GuiEventHandler, MouseCursor, OnPicture, ViewEvent, ViewUpdate, WindowCommand, WindowMatrix,

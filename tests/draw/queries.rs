@@ -115,3 +115,37 @@ fn queries_below_a_nested_camera_use_its_viewport() {
     }
     no_errors(rig);
 }
+
+/// A threshold of several samples hides what shows fewer, where the adapter counts them. Elsewhere it hides nothing that is
+/// visible, and is reported.
+#[test]
+fn threshold_of_samples_hides_nothing_that_shows_more() {
+    let Some(mut rig) = rig("threshold_of_samples_hides_nothing_that_shows_more") else { return };
+    let rig = &mut *rig;
+    // The box of the square covers about 60 pixels, and half of it is behind the wall.
+    for (threshold, has_enough) in [(4, true), (1_000, false)] {
+        let query = OcclusionQueryNode {
+            query_frames: 1,
+            failures_to_hide: 2,
+            visibility_threshold: threshold,
+            ..OcclusionQueryNode::default()
+        };
+        let results = query.results.clone();
+        let mut asked = Node::new(NodeKind::OcclusionQueryNode(Box::new(query)));
+        asked.children = vec![Node::geode(vec![quad([0.0, 0.0, -3.0], [0.2; 2], [0.0, 1.0, 0.0, 1.0])])];
+        let wall = Node::geode(vec![quad([0.5, 0.0, 0.0], [0.5, 1.0], [1.0, 0.0, 0.0, 1.0])]);
+        let scene = rig.scene(Node::group(vec![asked, wall]));
+        let mut frame = 0;
+        while results.failures() < 2 && (results.samples() == 0 || frame < 12) {
+            frame += 1;
+            rig.draw(&scene, &CullCamera { frame, ..unit_camera(SIDE) }, &plain());
+            assert!(frame < 400, "the query had no result");
+        }
+        assert!(results.samples() > 0, "it is visible");
+        let is_reported = rig.renderer.take_errors().iter().any(|error| error.contains("OcclusionQueryNode"));
+        let counts_samples = results.samples() > 1;
+        assert_eq!(is_reported, !counts_samples, "{} samples", results.samples());
+        assert_eq!(results.failures() == 0, has_enough || !counts_samples, "{} samples", results.samples());
+        rig.release(scene);
+    }
+}

@@ -352,3 +352,21 @@ fn harmless_violations_are_accepted() {
     assert_eq!(read.drawables().len(), 1);
     assert_eq!(read.ignored.count("glTF: primitive without positions"), 1);
 }
+
+/// Culls leave out meshes of which they would see only the backs.
+#[test]
+fn single_sided_meshes_get_the_cone_of_their_normals() {
+    let cluster = |double_sided: bool, cluster_culling: bool| {
+        let mut gltf = GltfBuilder::new();
+        let positions = gltf.floats("VEC3", &TRIANGLE);
+        gltf.push("materials", json!({ "doubleSided": double_sided }));
+        gltf.draw(json!({ "attributes": { "POSITION": positions }, "material": 0 }));
+        let options = ReadOptions { cluster_culling, ..ReadOptions::for_root("/set/tileset.json", Limits::default()) };
+        read_with(gltf.text(), Vec::new(), &options).unwrap().mesh().1.cluster
+    };
+    let cone = cluster(false, true).expect("one triangle has one direction");
+    // The triangle lies in the plane of x and y.
+    assert!(cone.normal.z.abs() > 0.99, "{cone:?}");
+    assert!(cluster(true, true).is_none(), "both sides are seen");
+    assert!(cluster(false, false).is_none(), "on request");
+}

@@ -201,7 +201,7 @@ impl QueryPass {
                 query.results.was_not_asked(true, query.frame);
                 continue;
             }
-            let threshold = threshold_on(query.visibility_threshold, ctx.is_software());
+            let threshold = threshold_on(query.visibility_threshold, ctx.counts_samples());
             if threshold < query.visibility_threshold {
                 resources.errors.report_once(format!(
                     "an OcclusionQueryNode hides its children below {} samples, but {} tells only whether any is visible: \
@@ -282,8 +282,8 @@ impl QueryPass {
     }
 }
 
-/// Returns the number of samples from which on a box counts as visible. Only software drivers count samples: wgpu asks the
-/// others for queries that may answer 1 for any number.
+/// Returns the number of samples from which on a box counts as visible, on an adapter that counts samples or tells only whether
+/// any is visible.
 fn threshold_on(wanted: u32, counts_samples: bool) -> u32 {
     if counts_samples { wanted } else { wanted.min(1) }
 }

@@ -21,17 +21,30 @@ const MAX_EXPECTED: usize = 8;
 #[derive(Debug, Default)]
 pub(super) struct DrawnStages {
     drawn: Vec<DrawnStage>,
+    /// The kinds that the frame before has drawn.
+    before: Vec<DrawnStage>,
     /// The latest last.
     expected: Vec<DrawnStage>,
 }
 
 impl DrawnStages {
     pub(super) fn clear(&mut self) {
+        std::mem::swap(&mut self.drawn, &mut self.before);
         self.drawn.clear();
     }
 
-    /// Notes a stage that is drawn.
-    pub(super) fn add(&mut self, lit: &LitStage<'_>, has_own_light: bool, has_casters: bool) {
+    /// Returns true if the frame before has drawn a kind.
+    pub(super) fn was_drawn(&self, stage: &DrawnStage) -> bool {
+        self.before.contains(stage)
+    }
+
+    /// Returns true if the frame before has drawn shadows into a target of a kind.
+    pub(super) fn had_shadows(&self, target: u16) -> bool {
+        self.before.iter().any(|stage| stage.target == target && stage.has_shadows)
+    }
+
+    /// Notes a stage that is drawn; returns its kind.
+    pub(super) fn add(&mut self, lit: &LitStage<'_>, has_own_light: bool, has_casters: bool) -> DrawnStage {
         // An empty stage has no casters yet.
         let will_have_casters = lit.around.shadows.is_some() && lit.input.stage.leaf_count() == 0;
         let drawn = DrawnStage {
@@ -43,6 +56,7 @@ impl DrawnStages {
         if !self.drawn.contains(&drawn) {
             self.drawn.push(drawn);
         }
+        drawn
     }
 
     /// Iterates over the kinds of stages, drawn and expected.

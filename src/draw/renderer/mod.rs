@@ -64,6 +64,8 @@ pub struct Renderer {
     frames_in_flight: FramesInFlight,
     /// Command buffers of the compile thread, which are submitted before the frame.
     uploads: Vec<wgpu::CommandBuffer>,
+    /// Leaves of stages that the last frame has drawn alike wait for their pipelines, and are left out until then.
+    pub(crate) hides_unready: bool,
     /// Times that programs see; the caller sets them before each draw.
     pub clock: FrameClock,
     /// Numbers of the context and of the frame that are drawn next, for the timeline.
@@ -86,6 +88,7 @@ impl Renderer {
             counted_by_thread: 0,
             frames_in_flight: FramesInFlight::default(),
             uploads: Vec::new(),
+            hides_unready: false,
             clock: FrameClock::default(),
             timed: (0, 0),
         }

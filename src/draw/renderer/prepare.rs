@@ -140,7 +140,8 @@ impl Renderer {
         let input = StageInput { ctx, stage, target: &target, clock: self.clock };
         let first_shadow = self.passes.shadows.view_count();
         let (passes, resources) = (&mut self.passes, &mut self.resources);
-        let sky_color = self.views.prepare(passes, resources, &input, around);
+        let hides_casters = self.hides_unready && self.drawn_into.had_shadows(target.index);
+        let sky_color = self.views.prepare(passes, resources, &input, around, hides_casters);
         let shadows = first_shadow..passes.shadows.view_count();
         let views = self.views.frames();
         let base = BoundState {
@@ -167,9 +168,10 @@ impl Renderer {
             resources.errors.report_once(format!("a LocalLights: {error}"));
         }
         let has_own_light = replaces_sun(stage);
-        self.drawn_into.add(&lit, has_own_light, !shadows.is_empty());
+        let kind = self.drawn_into.add(&lit, has_own_light, !shadows.is_empty());
 
-        let leaves = Leaves::prepare(resources, &lit, has_own_light);
+        let hides = self.hides_unready && self.drawn_into.was_drawn(&kind);
+        let leaves = resources.hide_unready(hides, |resources| Leaves::prepare(resources, &lit, has_own_light));
         let queries = passes.queries.prepare(resources, &lit);
         let has_sky = passes.sky.prepare(resources, &lit);
         let water = passes.water.prepare(resources, &lit);

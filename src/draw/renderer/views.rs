@@ -119,6 +119,7 @@ impl StageViews {
         resources: &mut Resources,
         input: &StageInput<'_>,
         around: &Surroundings,
+        hides_unready: bool,
     ) -> wgpu::Color {
         let stage = input.stage;
         self.light(input.ctx, passes, resources, stage, around);
@@ -145,7 +146,7 @@ impl StageViews {
             if let Some(first_layer) = *first_layer {
                 uniform = uniform.with_shadows(shadows, passes.shadows.map_px(), first_layer);
                 let shadowed = ShadowedView { shadows, view, number, first_layer, positioned };
-                passes.shadows.prepare(resources, input, &shadowed);
+                resources.hide_unready(hides_unready, |resources| passes.shadows.prepare(resources, input, &shadowed));
             }
             frames.push(ViewFrame {
                 uniform: resources.state_groups.push(&uniform),

@@ -193,6 +193,12 @@ impl GraphicsContext {
         self.gpu.adapter_info.device_type == wgpu::DeviceType::Cpu
     }
 
+    /// Returns true if occlusion queries count samples. Only software drivers of Vulkan do: wgpu asks the others for queries that
+    /// may answer 1 for any number, and with OpenGL, Direct3D and Metal a software driver too.
+    pub(crate) fn counts_samples(&self) -> bool {
+        counts_samples(self.gpu.adapter_info.device_type, self.gpu.adapter_info.backend)
+    }
+
     /// Returns the families of compressed texture formats that the device samples; for
     /// [`ReadOptions::block_formats`](crate::formats::ReadOptions::block_formats).
     pub fn block_formats(&self) -> BlockFormats {
@@ -545,5 +551,25 @@ impl GraphicsContext {
     /// Sets the next answers of the window's surface.
     pub fn pretend_surface(&mut self, answers: &[super::SurfaceAnswer]) {
         self.targets.selected_mut().target_mut().pretend(answers);
+    }
+}
+
+fn counts_samples(kind: wgpu::DeviceType, backend: wgpu::Backend) -> bool {
+    kind == wgpu::DeviceType::Cpu && backend == wgpu::Backend::Vulkan
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Regression: software drivers of OpenGL and Direct3D, whose queries answer 0 or 1, counted as ones that count.
+    #[test]
+    fn only_software_drivers_of_vulkan_count_samples() {
+        use wgpu::{Backend, DeviceType};
+        assert!(counts_samples(DeviceType::Cpu, Backend::Vulkan));
+        for backend in [Backend::Gl, Backend::Dx12, Backend::Metal] {
+            assert!(!counts_samples(DeviceType::Cpu, backend), "{backend:?}");
+        }
+        assert!(!counts_samples(DeviceType::DiscreteGpu, Backend::Vulkan));
     }
 }

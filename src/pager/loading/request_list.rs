@@ -134,6 +134,11 @@ impl<J: Request> ListState<J> {
         self.waiting.remove(ticket);
     }
 
+    /// Returns the most urgent jobs that wait and are no prefetches, at most `max` of each scene in each lane.
+    pub fn most_urgent(&self, max: usize) -> impl Iterator<Item = &J> {
+        self.waiting.most_urgent(max)
+    }
+
     /// Changes the urgencies of the jobs that wait.
     pub fn set_urgencies(&mut self, changes: &[(Ticket, Urgency)]) {
         self.waiting.set_urgencies(changes);
@@ -180,9 +185,9 @@ impl<J: Request> ListState<J> {
     }
 
     /// Returns true if a thread could take a job now, or has one that it will answer.
-    pub fn is_under_way(&mut self) -> bool {
+    pub fn is_under_way(&self) -> bool {
         let usage = self.usage;
-        let mut has_next = |source| self.waiting.has_next(source, |_, is_prefetch| usage.may_take(is_prefetch, 0, 0));
+        let has_next = |source| self.waiting.has_next(source, |_, is_prefetch| usage.may_take(is_prefetch, 0, 0));
         let has_file = usage.outstanding > 0 || has_next(Source::Files);
         #[cfg(feature = "http")]
         return has_file || has_next(Source::Servers);
@@ -216,7 +221,7 @@ impl<J: Request> ListState<J> {
     }
 
     /// Returns true if [`Self::take_file`] would take one.
-    fn has_file(&mut self, max_files: usize) -> bool {
+    fn has_file(&self, max_files: usize) -> bool {
         let usage = self.usage;
         usage.files < max_files
             && self.waiting.has_next(Source::Files, |_, is_prefetch| usage.may_take_file(is_prefetch))
@@ -289,7 +294,7 @@ impl<J: Request> RequestList<J> {
 
     /// Unlocks the list and wakes the threads that have something to take or to abort. Wakes one file thread, which wakes
     /// the next: each wake-up costs the calling thread up to 100 microseconds on a virtual machine.
-    pub fn ring(&self, mut state: MutexGuard<'_, ListState<J>>) {
+    pub fn ring(&self, state: MutexGuard<'_, ListState<J>>) {
         let is_closed = state.is_closed;
         let has_file = state.has_file(self.max_files);
         #[cfg(feature = "http")]

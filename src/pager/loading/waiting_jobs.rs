@@ -1,9 +1,7 @@
 //! [`WaitingJobs`]: the jobs that no thread has taken, by urgency.
 //!
-//! The order is kept while jobs come, change and go. Each queue is a binary heap of numbers. A job that changes its urgency
-//! gets another entry, and a thread that meets an outdated entry drops it. So a change costs O(log n), a take O(log n) for
-//! each lane and scene, and no job is copied. When more than a quarter of all urgencies change at once, as they do while the
-//! camera moves, the heaps are filled again in one pass over the numbers.
+//! The order is kept while jobs come, change and go: each queue is an ordered set of numbers. So a change costs O(log n), a take
+//! O(log n) for each lane and scene, no job is copied, and nothing is ever sorted or filled again.
 //!
 //! Two rules change the order of urgency. Requests of all scenes compete; a scene whose camera moves would take all slots
 //! for as long as its requests are more urgent. So a scene that was passed over a few times gets the next slot. Within a
@@ -11,7 +9,7 @@
 //! the oldest requests.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use super::request::Request;
 use super::ticket::Ticket;
@@ -22,8 +20,6 @@ use crate::fetch::server;
 const MAX_PASSED_OVER: u32 = 4;
 /// One in this many slots goes to the oldest request.
 const AGED_SHARE: u32 = 8;
-/// Outdated entries may outnumber the jobs by this many before the heaps are filled again.
-const MAX_OUTDATED: usize = 1024;
 
 /// How urgent a request is; the greater is served first. What a frame lacks now comes before every prefetch, and within
 /// both the higher priority comes first.
@@ -67,16 +63,15 @@ struct Waiting<J> {
     lane: usize,
 }
 
-/// An entry of a heap; of equally urgent jobs the one requested first comes first.
+/// The place of a job in its queue: the most urgent comes last, and of equally urgent ones the one requested first.
 type Urgent = (Urgency, Reverse<Ticket>);
-type UrgentFirst = BinaryHeap<Urgent>;
 
 /// The jobs of a scene in a lane, without prefetches.
 #[derive(Default)]
 struct SceneQueue {
-    urgent: UrgentFirst,
-    /// The frame of the first request, oldest first.
-    oldest: BinaryHeap<Reverse<(u32, Ticket)>>,
+    urgent: BTreeSet<Urgent>,
+    /// By the frame of the first request, oldest first.
+    oldest: BTreeSet<(u32, Ticket)>,
 }
 
 /// The jobs that need the same servers. A thread takes from a lane only if all of them have a free slot, so that a full
@@ -85,7 +80,7 @@ struct Lane<S> {
     /// The servers, the content's own first; none for files.
     servers: Vec<String>,
     scenes: BTreeMap<S, SceneQueue>,
-    prefetches: UrgentFirst,
+    prefetches: BTreeSet<Urgent>,
     /// The number of jobs.
     len: usize,
 }
@@ -114,8 +109,6 @@ pub(super) struct WaitingJobs<J: Request> {
     turns: BTreeMap<J::Scene, Turn>,
     /// Slots since the last one that went to an old request.
     slots: u32,
-    /// Entries added since the heaps were last filled.
-    entries: usize,
 }
 
 /// Returns the key of the lane for jobs that need these servers.
@@ -124,24 +117,44 @@ fn lane_key(servers: &[String]) -> String {
 }
 
 fn new_lane<S: Ord>(servers: Vec<String>) -> Lane<S> {
-    Lane { servers, scenes: BTreeMap::new(), prefetches: BinaryHeap::new(), len: 0 }
+    Lane { servers, scenes: BTreeMap::new(), prefetches: BTreeSet::new(), len: 0 }
 }
 
-/// Returns the lanes of a source that have jobs, with their indices.
-fn lanes_of<S>(lanes: &mut [Lane<S>], source: Source) -> impl Iterator<Item = (usize, &mut Lane<S>)> {
-    let has_source = move |index: usize| (index == FILES) == (source == Source::Files);
-    lanes.iter_mut().enumerate().filter(move |(index, lane)| lane.len > 0 && has_source(*index))
+/// Returns the lanes of a source that have jobs.
+fn lanes_of<S>(lanes: &[Lane<S>], source: Source) -> impl Iterator<Item = &Lane<S>> {
+    let (files, servers) = lanes.split_at(FILES + 1);
+    let of_source = if source == Source::Files { files } else { servers };
+    of_source.iter().filter(|lane| lane.len > 0)
 }
 
-/// Drops outdated entries from the front of a heap and returns the first that is not; `lane` is the lane of the heap.
-fn first_urgent<J>(heap: &mut UrgentFirst, jobs: &HashMap<Ticket, Waiting<J>>, lane: usize) -> Option<Urgent> {
-    while let Some(&(urgency, Reverse(ticket))) = heap.peek() {
-        if jobs.get(&ticket).is_some_and(|job| job.urgency == urgency && job.lane == lane) {
-            return Some((urgency, Reverse(ticket)));
+impl<J: Request> Waiting<J> {
+    /// Adds the job to the queues of its lane.
+    fn enqueue(&self, lanes: &mut [Lane<J::Scene>]) {
+        let (lane, ticket) = (&mut lanes[self.lane], self.job.ticket());
+        let urgent = (self.urgency, Reverse(ticket));
+        if self.urgency.is_prefetch() {
+            lane.prefetches.insert(urgent);
+        } else {
+            let queue = lane.scenes.entry(self.job.scene()).or_default();
+            queue.urgent.insert(urgent);
+            queue.oldest.insert((self.first_frame, ticket));
         }
-        heap.pop();
     }
-    None
+
+    /// Removes the job from the queues of its lane.
+    fn dequeue(&self, lanes: &mut [Lane<J::Scene>]) {
+        let (lane, ticket) = (&mut lanes[self.lane], self.job.ticket());
+        let urgent = (self.urgency, Reverse(ticket));
+        if self.urgency.is_prefetch() {
+            lane.prefetches.remove(&urgent);
+        } else if let Some(queue) = lane.scenes.get_mut(&self.job.scene()) {
+            queue.urgent.remove(&urgent);
+            queue.oldest.remove(&(self.first_frame, ticket));
+            if queue.urgent.is_empty() {
+                lane.scenes.remove(&self.job.scene());
+            }
+        }
+    }
 }
 
 impl<J: Request> WaitingJobs<J> {
@@ -153,7 +166,6 @@ impl<J: Request> WaitingJobs<J> {
             free_lanes: Vec::new(),
             turns: BTreeMap::new(),
             slots: 0,
-            entries: 0,
         }
     }
 
@@ -192,9 +204,9 @@ impl<J: Request> WaitingJobs<J> {
             self.turns.entry(scene).or_default().waiting += 1;
         }
         self.lanes[lane].len += 1;
-        self.jobs.insert(ticket, Waiting { job, urgency, first_frame, lane });
-        self.push(ticket, true);
-        self.compact();
+        let waiting = Waiting { job, urgency, first_frame, lane };
+        waiting.enqueue(&mut self.lanes);
+        self.jobs.insert(ticket, waiting);
     }
 
     /// Returns the lane of a job as far as its own address tells: where its companions come from is found out when it is
@@ -230,84 +242,36 @@ impl<J: Request> WaitingJobs<J> {
         lane
     }
 
-    /// Adds the entries of a job to its heaps; that of its age once.
-    fn push(&mut self, ticket: Ticket, is_new: bool) {
-        let Some(Waiting { job, urgency, first_frame, lane }) = self.jobs.get(&ticket) else { return };
-        let urgent = (*urgency, Reverse(ticket));
-        self.entries += 1;
-        if urgency.is_prefetch() {
-            self.lanes[*lane].prefetches.push(urgent);
-            return;
-        }
-        let queue = self.lanes[*lane].scenes.entry(job.scene()).or_default();
-        queue.urgent.push(urgent);
-        if is_new {
-            queue.oldest.push(Reverse((*first_frame, ticket)));
-        }
-    }
-
     /// Changes urgencies. Jobs that do not wait are left out.
     pub fn set_urgencies(&mut self, changes: &[(Ticket, Urgency)]) {
-        let fills = changes.len() > self.jobs.len() / 4;
         for &(ticket, urgency) in changes {
             let Some(waiting) = self.jobs.get_mut(&ticket) else { continue };
             let was_prefetch = waiting.urgency.is_prefetch();
+            waiting.dequeue(&mut self.lanes);
             waiting.urgency = urgency;
-            let changes_class = urgency.is_prefetch() != was_prefetch;
-            if changes_class {
-                waiting.job.set_prefetch(urgency.is_prefetch());
-                let scene = waiting.job.scene();
-                if was_prefetch {
-                    self.turns.entry(scene).or_default().waiting += 1;
-                } else {
-                    self.leave_turn(scene);
-                }
+            waiting.job.set_prefetch(urgency.is_prefetch());
+            waiting.enqueue(&mut self.lanes);
+            let scene = waiting.job.scene();
+            match (was_prefetch, urgency.is_prefetch()) {
+                (true, false) => self.turns.entry(scene).or_default().waiting += 1,
+                (false, true) => self.leave_turn(scene),
+                _ => {}
             }
-            if !fills {
-                self.push(ticket, changes_class);
-            }
-        }
-        if fills {
-            self.fill();
-        }
-        self.compact();
-    }
-
-    /// Fills the heaps again if most entries may be outdated.
-    fn compact(&mut self) {
-        if self.entries > 2 * self.jobs.len() + MAX_OUTDATED {
-            self.fill();
         }
     }
 
-    /// Fills all heaps from the jobs, in one pass.
-    fn fill(&mut self) {
-        for lane in &mut self.lanes {
-            lane.prefetches.clear();
-            lane.scenes.retain(|scene, queue| {
-                queue.urgent.clear();
-                queue.oldest.clear();
-                self.turns.contains_key(scene)
-            });
-        }
-        self.entries = 0;
-        let Self { jobs, lanes, entries, .. } = self;
-        for (ticket, Waiting { job, urgency, first_frame, lane }) in jobs {
-            *entries += 1;
-            let (lane, urgent) = (&mut lanes[*lane], (*urgency, Reverse(*ticket)));
-            if urgency.is_prefetch() {
-                lane.prefetches.push(urgent);
-            } else {
-                let queue = lane.scenes.entry(job.scene()).or_default();
-                queue.urgent.push(urgent);
-                queue.oldest.push(Reverse((*first_frame, *ticket)));
-            }
-        }
+    /// Returns the most urgent jobs that are no prefetches, at most `max` of each lane and scene.
+    pub fn most_urgent(&self, max: usize) -> impl Iterator<Item = &J> {
+        let queues = self.lanes.iter().flat_map(|lane| lane.scenes.values());
+        let tickets = queues.flat_map(move |queue| queue.urgent.iter().rev().take(max));
+        tickets.filter_map(|(_, Reverse(ticket))| self.jobs.get(ticket)).map(|waiting| &waiting.job)
     }
 
     /// Removes a job. Returns it if it waited.
     pub fn remove(&mut self, ticket: Ticket) -> Option<J> {
-        let Waiting { job, urgency, lane, .. } = self.jobs.remove(&ticket)?;
+        let waiting = self.jobs.remove(&ticket)?;
+        waiting.dequeue(&mut self.lanes);
+        let Waiting { job, urgency, lane, .. } = waiting;
         if !urgency.is_prefetch() {
             self.leave_turn(job.scene());
         }
@@ -329,13 +293,9 @@ impl<J: Request> WaitingJobs<J> {
     fn leave_lane(&mut self, index: usize) {
         let lane = &mut self.lanes[index];
         lane.len -= 1;
-        if lane.len == 0 {
-            lane.prefetches.clear();
-            lane.scenes.clear();
-            if index != FILES {
-                self.lane_of.remove(&lane_key(&lane.servers));
-                self.free_lanes.push(index);
-            }
+        if lane.len == 0 && index != FILES {
+            self.lane_of.remove(&lane_key(&lane.servers));
+            self.free_lanes.push(index);
         }
     }
 
@@ -361,7 +321,7 @@ impl<J: Request> WaitingJobs<J> {
     }
 
     /// Returns true if [`Self::take`] would take a job.
-    pub fn has_next(&mut self, source: Source, may_take: impl Fn(&[String], bool) -> bool) -> bool {
+    pub fn has_next(&self, source: Source, may_take: impl Fn(&[String], bool) -> bool) -> bool {
         self.first(source, 0, &may_take).is_some()
     }
 
@@ -377,62 +337,36 @@ impl<J: Request> WaitingJobs<J> {
         let to = self.lane_of.get(&lane_key(&servers)).copied();
         let to = to.unwrap_or_else(|| self.add_lane(servers));
         if let Some(waiting) = self.jobs.get_mut(&ticket) {
+            waiting.dequeue(&mut self.lanes);
             waiting.lane = to;
+            waiting.enqueue(&mut self.lanes);
         }
         self.lanes[to].len += 1;
         self.leave_lane(from);
-        self.push(ticket, true);
         true
     }
 
     /// Returns the job that is next in turn.
-    fn first(
-        &mut self,
-        source: Source,
-        aged_before: u32,
-        may_take: &impl Fn(&[String], bool) -> bool,
-    ) -> Option<Ticket> {
-        let Self { jobs, lanes, turns, slots, .. } = self;
+    fn first(&self, source: Source, aged_before: u32, may_take: &impl Fn(&[String], bool) -> bool) -> Option<Ticket> {
+        let open = |is_prefetch| lanes_of(&self.lanes, source).filter(move |lane| may_take(&lane.servers, is_prefetch));
+        let queues = || open(false).flat_map(|lane| lane.scenes.iter());
         // How overdue the scene is, what is most urgent there, and the scene.
-        let mut next: Option<(u32, Urgent, J::Scene)> = None;
-        for (index, lane) in lanes_of(lanes, source) {
-            if !may_take(&lane.servers, false) {
-                continue;
-            }
-            lane.scenes.retain(|scene, queue| {
-                let Some(urgent) = first_urgent(&mut queue.urgent, jobs, index) else { return false };
-                let passed_over = turns.get(scene).map_or(0, |turn| turn.passed_over);
-                let overdue = if passed_over >= MAX_PASSED_OVER { passed_over } else { 0 };
-                next = next.max(Some((overdue, urgent, *scene)));
-                true
-            });
-        }
-        let Some((overdue, (_, Reverse(most_urgent)), in_turn)) = next else {
-            let ahead = lanes_of(lanes, source).filter(|(_, lane)| may_take(&lane.servers, true));
-            let first = ahead.filter_map(|(index, lane)| first_urgent(&mut lane.prefetches, jobs, index)).max();
-            return first.map(|(_, Reverse(ticket))| ticket);
+        let next = queues().filter_map(|(scene, queue)| {
+            let passed_over = self.turns.get(scene).map_or(0, |turn| turn.passed_over);
+            let overdue = if passed_over >= MAX_PASSED_OVER { passed_over } else { 0 };
+            Some((overdue, *queue.urgent.last()?, *scene))
+        });
+        let Some((overdue, (_, Reverse(most_urgent)), in_turn)) = next.max() else {
+            let first = open(true).filter_map(|lane| lane.prefetches.last()).max();
+            return first.map(|(_, Reverse(ticket))| *ticket);
         };
-        let is_aged_turn = *slots == AGED_SHARE - 1 && aged_before > 0;
-        if !is_aged_turn {
+        if self.slots != AGED_SHARE - 1 || aged_before == 0 {
             return Some(most_urgent);
         }
-        let mut oldest: Option<(u32, Ticket)> = None;
-        for (index, lane) in lanes_of(lanes, source) {
-            if !may_take(&lane.servers, false) {
-                continue;
-            }
-            for (_, queue) in lane.scenes.iter_mut().filter(|(scene, _)| overdue == 0 || **scene == in_turn) {
-                while let Some(&Reverse((first_frame, ticket))) = queue.oldest.peek() {
-                    if jobs.get(&ticket).is_some_and(|job| job.lane == index && !job.urgency.is_prefetch()) {
-                        let old = Some((first_frame, ticket)).filter(|_| first_frame < aged_before);
-                        oldest = [oldest, old].into_iter().flatten().min();
-                        break;
-                    }
-                    queue.oldest.pop();
-                }
-            }
-        }
-        Some(oldest.map_or(most_urgent, |(_, ticket)| ticket))
+        let in_turn = queues().filter(|(scene, _)| overdue == 0 || **scene == in_turn);
+        let oldest = in_turn.filter_map(|(_, queue)| queue.oldest.first()).min();
+        let old = oldest.filter(|(first_frame, _)| *first_frame < aged_before);
+        Some(old.map_or(most_urgent, |(_, ticket)| *ticket))
     }
 
     /// Returns the jobs in no order, for tests.

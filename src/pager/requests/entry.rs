@@ -48,8 +48,8 @@ pub(in crate::pager) struct Entry {
     pub paging: PagingOptions,
     /// The urgency with which the request list has its job; `None` if it has not.
     pub listed: Option<Urgency>,
-    /// True if the table has noted that the list must be compared with it.
-    pub is_noted: bool,
+    /// The round of the table in which its difference to the list was last noted.
+    pub noted_in: u64,
 }
 
 impl Entry {

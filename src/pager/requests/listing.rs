@@ -1,8 +1,13 @@
 //! Writes additions, changes and removals of waiting requests to the request list. Update thread.
 //!
 //! The jobs to add are copied before the list is locked, and each once while it waits. Under the lock the list is changed
-//! as much as the requests have changed since the last time. While a camera moves, the priorities of all requests change;
-//! that is one pass over as many numbers.
+//! as much as the requests have changed since the last time, within a limit. While a camera moves, the priorities of all
+//! requests change. Then those are written that are the most urgent now, and those that the list has as the most urgent: the
+//! threads take no others before the next update. Requests that stay wanted are compared with the list in each frame, so the
+//! others get their turn as they come to the front. The limit is a number and no time, so that equal flights give equal lists.
+
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
 
 use super::entry::{Entry, Progress};
 use super::table::RequestTable;
@@ -11,18 +16,30 @@ use crate::pager::loading::request_list::ListState;
 use crate::pager::loading::ticket::Ticket;
 use crate::pager::loading::waiting_jobs::Urgency;
 use crate::pager::residency::budget::{MemoryUse, Room};
-use crate::scene::NodeId;
+use crate::scene::{NodeId, SceneNumber};
 
 /// The changes since the list was last written; the memory is kept.
 #[derive(Debug, Default)]
 pub(super) struct ListChanges {
-    /// Slots whose waiting entries are new or may differ from the list, each once ([`Entry::is_noted`]).
-    pub noted: Vec<NodeId>,
+    /// Counts how often the noted entries were compared with the list.
+    round: u64,
+    /// Slots whose waiting entries are not in the list.
+    unlisted: Vec<NodeId>,
+    /// Waiting entries whose urgency differs from the list's, by scene.
+    changed: BTreeMap<SceneNumber, Vec<ChangedUrgency>>,
     /// Jobs that the list has and that do not wait any more.
     pub removed: Vec<Ticket>,
     /// Jobs to add, with the frame in which each was first requested.
     added: Vec<(PageJob, Urgency, u32)>,
     urgencies: Vec<(Ticket, Urgency)>,
+}
+
+/// A waiting entry whose urgency differs from the list's.
+#[derive(Clone, Copy, Debug)]
+struct ChangedUrgency {
+    slot: NodeId,
+    now: Urgency,
+    listed: Urgency,
 }
 
 /// The prefetches that wait, as far as they have room by their known size.
@@ -40,18 +57,27 @@ fn has_room(entry: &Entry, room: &Room) -> bool {
 }
 
 impl RequestTable {
-    /// Collects what the list does not know yet. Prefetches and requests of known size follow under the lock, where it is
-    /// known how many jobs are under way.
-    pub(super) fn collect_changes(&mut self) {
-        let mut noted = std::mem::take(&mut self.changes.noted);
-        for slot in noted.drain(..) {
+    /// Collects what the list does not know yet: new requests, and of those whose urgency has changed `max_changed` that are
+    /// the most urgent now, and as many that the list has as the most urgent; of each scene its share. Prefetches and requests
+    /// of known size follow under the lock, where it is known how many jobs are under way.
+    pub(super) fn collect_changes(&mut self, max_changed: usize) {
+        self.changes.round += 1;
+        let (mut unlisted, mut changed) =
+            (std::mem::take(&mut self.changes.unlisted), std::mem::take(&mut self.changes.changed));
+        changed.retain(|_, of_scene| !of_scene.is_empty());
+        let share = max_changed.div_ceil(changed.len().max(1));
+        let written = changed.values_mut().flat_map(|of_scene| {
+            let count = select(of_scene, share, |entry| entry.now);
+            let count = count + select(&mut of_scene[count..], share, |entry| entry.listed);
+            of_scene.drain(..).take(count).map(|entry| entry.slot)
+        });
+        for slot in unlisted.drain(..).chain(written) {
             let Some(entry) = self.waiting.peek_mut(&slot) else { continue };
-            entry.is_noted = false;
             if !entry.is_prefetch() && entry.known_size.is_none() {
                 self.changes.compare(entry, true);
             }
         }
-        self.changes.noted = noted;
+        (self.changes.unlisted, self.changes.changed) = (unlisted, changed);
     }
 
     /// Lists the requests of known size that have room, and takes the others out. Returns the size of the most urgent one
@@ -107,7 +133,32 @@ impl RequestTable {
     }
 }
 
+/// Moves the greatest by `urgency` to the front, `max` at most; returns how many these are.
+fn select(changed: &mut [ChangedUrgency], max: usize, urgency: impl Fn(&ChangedUrgency) -> Urgency) -> usize {
+    if changed.len() > max {
+        changed.select_nth_unstable_by_key(max, |entry| (Reverse(urgency(entry)), entry.slot));
+    }
+    changed.len().min(max)
+}
+
 impl ListChanges {
+    /// Notes a waiting entry if it differs from the list, once until the list is written. Prefetches and requests of known
+    /// size are compared with it each time.
+    pub fn note(&mut self, entry: &mut Entry) {
+        let (slot, now) = (entry.job.slot, entry.urgency());
+        let is_known = entry.noted_in == self.round + 1 || entry.listed == Some(now);
+        if is_known || entry.is_prefetch() || entry.known_size.is_some() {
+            return;
+        }
+        entry.noted_in = self.round + 1;
+        match entry.listed {
+            None => self.unlisted.push(slot),
+            Some(listed) => {
+                self.changed.entry(slot.page.scene).or_default().push(ChangedUrgency { slot, now, listed });
+            }
+        }
+    }
+
     /// Notes the difference between an entry and the list.
     fn compare(&mut self, entry: &mut Entry, is_listed: bool) {
         debug_assert_eq!(entry.progress, Progress::Waiting);

@@ -13,6 +13,7 @@ use crate::pager::loading::page_job::PageJob;
 use crate::pager::loading::request_list::{Limits, ListState, RequestList};
 use crate::pager::residency::Unused;
 use crate::pager::residency::budget::{MemoryUse, RESERVED_TENTHS, Room};
+use crate::scene::NodeId;
 
 /// Decoded pages that wait for their upload may hold about this many bytes per decode thread; beyond that nothing is
 /// loaded. This is about what a thread decodes while the main thread makes a frame.
@@ -33,6 +34,14 @@ const PREFETCH_MARGIN_FRAMES: u32 = 2;
 /// The number of jobs that one update marks as taken. Threads may take thousands between two updates; what is left counts as
 /// waiting until the next one.
 const MAX_TAKEN: usize = 256;
+/// The number of jobs whose changed urgency one update writes because they are the most urgent now, and the number that it writes
+/// because the list has them as the most urgent. Threads take fewer between two updates.
+const MAX_CHANGED: usize = 1024;
+/// The number of stale requests that one update drops because they were renewed longest ago, and the number that it drops
+/// because they are among the most urgent, which threads would take next.
+const MAX_STALE: usize = 2048;
+/// The number of the most urgent jobs that are looked at until none of them is stale.
+const MAX_LOOKED_AT: usize = 256;
 
 /// After a trial load had no room, the next one waits for this many frames, doubled each time.
 const TRIAL_BACKOFF_FRAMES: RangeInclusive<u32> = 8..=128;
@@ -135,6 +144,27 @@ impl Conditions<'_> {
     }
 }
 
+/// Drops stale requests among the most urgent jobs of the list; returns how many.
+fn drop_urgent_stale(
+    table: &mut RequestTable,
+    list: &mut ListState<PageJob>,
+    is_stale: impl Fn(u32) -> bool + Copy,
+) -> usize {
+    let mut count = 0;
+    while count < MAX_STALE && table.has_stale(is_stale) {
+        let is_of_stale = |job: &&PageJob| table.of_job(job).is_some_and(|entry| is_stale(entry.wanted_frame));
+        let slots: Vec<NodeId> =
+            list.most_urgent(MAX_LOOKED_AT).filter(is_of_stale).take(MAX_STALE - count).map(|job| job.slot).collect();
+        if slots.is_empty() {
+            break;
+        }
+        count += slots.len();
+        slots.into_iter().for_each(|slot| table.end_stale(slot));
+        table.write_changes(list);
+    }
+    count
+}
+
 /// Writes the request list.
 #[derive(Debug, Default)]
 pub(in crate::pager) struct Scheduler {
@@ -166,11 +196,12 @@ impl Scheduler {
     /// Drops stale requests, aborts what is no longer wanted, and writes the changes to the list. Returns the number of stale
     /// requests.
     pub fn write_list(&mut self, table: &mut RequestTable, list: &RequestList<PageJob>, at: &Conditions<'_>) -> u64 {
-        let max_taken = if at.config.blocking { usize::MAX } else { MAX_TAKEN };
-        let taken: Vec<PageJob> = list.lock().drain_taken(max_taken).collect();
+        let max = |count| if at.config.blocking { usize::MAX } else { count };
+        let taken: Vec<PageJob> = list.lock().drain_taken(max(MAX_TAKEN)).collect();
         // Jobs that have lost their entries meanwhile are aborted.
         let mut aborted: Vec<_> = taken.iter().filter(|job| !table.mark_loading(job)).map(|job| job.ticket).collect();
-        let stale = table.drop_stale(|wanted_frame| at.is_unwanted(wanted_frame, at.config.stale_time));
+        let is_stale = |wanted_frame| at.is_unwanted(wanted_frame, at.config.stale_time);
+        let mut stale = table.drop_stale(max(MAX_STALE), is_stale);
         self.soon = 0;
         for (_, entry) in table.begun().filter(|(_, entry)| entry.progress == Progress::Loading) {
             self.soon += u64::from(entry.is_soon());
@@ -179,7 +210,7 @@ impl Scheduler {
                 aborted.push(entry.job.ticket);
             }
         }
-        table.collect_changes();
+        table.collect_changes(max(MAX_CHANGED));
         let (blocked, without_room) = table.list_sized(&at.room);
         let now = table.waiting_now() - without_room;
         let prefetches = table.waiting_prefetches(&at.room);
@@ -195,6 +226,9 @@ impl Scheduler {
         let latest = short.map_or(u32::MAX, |soonest| soonest.saturating_add(PREFETCH_MARGIN_FRAMES));
         let count = table.list_prefetches(&at.room, latest) as u64;
         table.write_changes(&mut state);
+        if table.has_stale(is_stale) {
+            stale += drop_urgent_stale(table, &mut state, is_stale);
+        }
         if cfg!(feature = "http") {
             aborted.into_iter().for_each(|ticket| state.abort(ticket));
         }
@@ -208,7 +242,7 @@ impl Scheduler {
         };
         let limits = self.limits(outstanding, &state, at);
         state.set_limits(limits);
-        stale
+        stale as u64
     }
 
     /// Sets the limits again, and wakes threads if there is more room than when the list was written.

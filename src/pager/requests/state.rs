@@ -69,7 +69,7 @@ mod tests {
             progress: Progress::Waiting,
             paging: PagingOptions::default(),
             listed: None,
-            is_noted: false,
+            noted_in: 0,
         }
     }
 

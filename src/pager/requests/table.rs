@@ -16,7 +16,7 @@ use crate::pager::loading::ticket::{RequestEnd, TicketIssuer};
 use crate::pager::loading::waiting_jobs::Urgency;
 use crate::pager::scenes::read_scope::{ReadScope, TilesetAncestors};
 use crate::pager::scenes::scene_set::SceneSet;
-use crate::scene::{NodeId, ReaderData, SceneNumber, SlotInfo};
+use crate::scene::{NodeId, PagingOptions, ReaderData, SceneNumber, SlotInfo};
 
 /// Failures that are remembered: each frame iterates over them. Beyond that, those are forgotten that no camera meets.
 const MAX_FAILURES: usize = 4096;
@@ -62,6 +62,15 @@ pub(in crate::pager) struct RequestTable {
     /// Changes that the request list does not have yet.
     pub(super) changes: ListChanges,
     tickets: TicketIssuer,
+}
+
+/// Returns the options of a slot's tile as they apply to the kind of its content.
+fn paging(slot: &SlotInfo<'_>) -> PagingOptions {
+    let mut paging = slot.paging;
+    if slot.reader_data.is_some_and(ReaderData::continues_tileset) {
+        paging.priority_scale *= TREE_PRIORITY_SCALE;
+    }
+    paging
 }
 
 impl RequestTable {
@@ -123,9 +132,8 @@ impl RequestTable {
     fn insert_waiting(&mut self, mut entry: Entry) {
         let slot = entry.job.slot;
         entry.progress = Progress::Waiting;
-        entry.listed = None;
-        entry.is_noted = true;
-        self.changes.noted.push(slot);
+        (entry.listed, entry.noted_in) = (None, 0);
+        self.changes.note(&mut entry);
         if entry.is_prefetch() {
             self.prefetches.insert(slot);
         }
@@ -173,10 +181,7 @@ impl RequestTable {
             let was_prefetch = entry.is_prefetch();
             changes.has_sooner |= request.ahead_frames == 0 && was_prefetch;
             entry.renew(request, frame);
-            if !entry.is_noted && entry.listed != Some(entry.urgency()) {
-                entry.is_noted = true;
-                self.changes.noted.push(slot);
-            }
+            self.changes.note(entry);
             match entry.is_prefetch() {
                 true if !was_prefetch => drop(self.prefetches.insert(slot)),
                 false if was_prefetch => drop(self.prefetches.remove(&slot)),
@@ -201,6 +206,11 @@ impl RequestTable {
         true
     }
 
+    /// Returns how urgent a request for a slot is that has no entry.
+    pub fn urgency(request: &PageRequest, slot: &SlotInfo<'_>) -> Urgency {
+        Urgency::new(paging(slot).priority(request.priority), request.ahead_frames > 0)
+    }
+
     /// Adds a request for a slot that has no entry.
     pub fn add(
         &mut self,
@@ -223,10 +233,7 @@ impl RequestTable {
             progress: Arc::default(),
         };
         job.ticket.trace_begin(&job.uri);
-        let mut paging = slot.paging;
-        if slot.reader_data.is_some_and(ReaderData::continues_tileset) {
-            paging.priority_scale *= TREE_PRIORITY_SCALE;
-        }
+        let paging = paging(slot);
         let entry = Entry {
             job,
             priority: paging.priority(request.priority),
@@ -239,7 +246,7 @@ impl RequestTable {
             known_size: None,
             progress: Progress::Waiting,
             listed: None,
-            is_noted: false,
+            noted_in: 0,
         };
         self.insert_waiting(entry);
     }
@@ -265,21 +272,33 @@ impl RequestTable {
         true
     }
 
-    /// Ends the waiting requests for which `is_stale` holds of the frame in which they were last wanted; returns how many.
-    pub fn drop_stale(&mut self, is_stale: impl Fn(u32) -> bool) -> u64 {
+    /// Ends at most `max` of the waiting requests for which `is_stale` holds of the frame in which they were last wanted, those
+    /// first that were renewed longest ago; returns how many.
+    pub fn drop_stale(&mut self, max: usize, is_stale: impl Fn(u32) -> bool) -> usize {
         let mut count = 0;
-        while let Some((slot, entry)) = self.waiting.peek_lru()
+        while count < max
+            && let Some((slot, entry)) = self.waiting.peek_lru()
             && is_stale(entry.wanted_frame)
         {
             let slot = *slot;
-            let Some(mut entry) = self.remove_waiting(slot) else { break };
+            self.end_stale(slot);
             count += 1;
-            entry.job.ticket.trace_end(RequestEnd::Stale);
-            if entry.end_unwanted() {
-                self.begun.insert(slot, entry);
-            }
         }
         count
+    }
+
+    /// Returns true if `is_stale` holds of the frame in which a waiting request was last wanted.
+    pub fn has_stale(&self, is_stale: impl Fn(u32) -> bool) -> bool {
+        self.waiting.peek_lru().is_some_and(|(_, entry)| is_stale(entry.wanted_frame))
+    }
+
+    /// Ends a waiting request that is stale.
+    pub fn end_stale(&mut self, slot: NodeId) {
+        let Some(mut entry) = self.remove_waiting(slot) else { return };
+        entry.job.ticket.trace_end(RequestEnd::Stale);
+        if entry.end_unwanted() {
+            self.begun.insert(slot, entry);
+        }
     }
 
     /// Makes failures retryable whose back-off is over; their failure counts stay. If there are too many, those are forgotten
@@ -338,9 +357,10 @@ impl RequestTable {
                 entry.job.ticket = self.tickets.issue();
                 entry.job.progress = Arc::default();
                 entry.job.ticket.trace_begin(&entry.job.uri);
+                entry.noted_in = 0;
             }
-            if entry.progress == Progress::Waiting && !std::mem::replace(&mut entry.is_noted, true) {
-                self.changes.noted.push(entry.job.slot);
+            if entry.progress == Progress::Waiting {
+                self.changes.note(entry);
             }
         }
     }

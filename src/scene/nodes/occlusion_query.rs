@@ -10,8 +10,8 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 /// with something below that no bound culls (a light, a camera, geometry in the eye's frame) is not queried.
 #[derive(Clone, Debug)]
 pub struct OcclusionQueryNode {
-    /// The children are hidden if fewer samples pass. Only software drivers count samples. Others tell whether any is visible:
-    /// there a threshold above 1 acts as 1, and is reported.
+    /// The children are hidden if fewer samples pass. Only software drivers of Vulkan count samples. Others tell whether any is
+    /// visible: there a threshold above 1 acts as 1, and is reported.
     pub visibility_threshold: u32,
     /// The number of frames between two queries of the same node.
     pub query_frames: u32,

@@ -33,6 +33,23 @@ pub enum EnvironmentChanges {
     AtOnce,
 }
 
+/// When drawables are shown whose pipelines do not exist: nodes and state sets that the application adds to the scene graph, or
+/// changes. The contents of pages have theirs before they are merged.
+///
+/// Where a whole view is drawn in another way than in the frame before, as after a first stencil or a light of number 0, all
+/// that is in view needs other pipelines, and the frame creates them; so does the first frame of a view. The blocking mode of the
+/// pager hides nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum NewStates {
+    /// The next frame shows them and takes as long as their pipelines take, as in OpenSceneGraph: 20 to 200 ms each on many
+    /// drivers.
+    #[default]
+    AtOnce,
+    /// Another thread creates the pipelines. Until then frames leave the drawables out, also those that were shown with another
+    /// state before. [`CompositeViewer::is_settled`](crate::viewer::CompositeViewer::is_settled) is false until then.
+    WhenReady,
+}
+
 /// The views that a frame rehearses, each with its context.
 pub(super) type Rehearsals = Vec<(u32, RenderStage, Environment)>;
 
@@ -44,13 +61,20 @@ struct Rehearsed {
     missing: Option<u32>,
     /// The number of pipelines that the device was creating.
     in_creation: u32,
+    /// The number of pipelines that the frame lacked.
+    awaited: u32,
 }
 
 impl Rehearsed {
     fn of(done: &FrameDone) -> Self {
-        let in_creation = done.stats.as_ref().map_or(0, |drawn| drawn.pipelines_in_creation);
-        let (context, missing) = (ContextId(done.context), done.missing_pipelines);
-        Self { context, frame: done.frame, missing, in_creation }
+        let drawn = done.stats.as_ref().ok();
+        Self {
+            context: ContextId(done.context),
+            frame: done.frame,
+            missing: done.missing_pipelines,
+            in_creation: drawn.map_or(0, |drawn| drawn.pipelines_in_creation),
+            awaited: drawn.map_or(0, |drawn| drawn.pipelines_awaited),
+        }
     }
 }
 
@@ -86,10 +110,11 @@ impl EnvironmentRehearsals {
         }
     }
 
-    /// Decides with which environment each view is drawn in a frame. Returns the views whose changes it rehearses.
+    /// Decides with which environment each view is drawn in a frame that leaves out what lacks pipelines if `hides_unready`. Returns the views whose changes it rehearses.
     pub fn follow_environments(
         &mut self,
         changes: EnvironmentChanges,
+        hides_unready: bool,
         frame: u32,
         views: &mut ViewList,
         scenes: &SceneList,
@@ -98,6 +123,7 @@ impl EnvironmentRehearsals {
         self.take_rehearsed(views);
         let mut rehearsals = Vec::new();
         for view in views.values_mut() {
+            view.shown.begin_frame(frame, hides_unready);
             let waits = self.waits_for_pipelines(changes, view);
             view.shown.follow(&view.environment, waits);
             if !view.shown.wants_rehearsal() {
@@ -122,9 +148,10 @@ impl EnvironmentRehearsals {
 
     /// Tells views what the frames that were drawn have found out about their changes.
     fn take_rehearsed(&mut self, views: &mut ViewList) {
-        for Rehearsed { context, frame, missing, in_creation } in self.rehearsed.drain(..) {
+        for Rehearsed { context, frame, missing, in_creation, awaited } in self.rehearsed.drain(..) {
             for view in views.values_mut().filter(|view| view.contexts().any(|of| of == context)) {
                 view.shown.drawn(frame, missing, in_creation);
+                view.shown.note_awaited(frame, awaited);
             }
         }
     }

@@ -1,6 +1,6 @@
 //! [`ViewerConfig`]: the settings with which a viewer is made.
 
-use super::changes::EnvironmentChanges;
+use super::changes::{EnvironmentChanges, NewStates};
 use crate::scene::CullSettings;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -50,6 +50,8 @@ pub struct ViewerConfig {
     pub compile_contexts: bool,
     /// When a change of a view's environment takes effect that needs pipelines which do not exist.
     pub environment_changes: EnvironmentChanges,
+    /// When drawables are shown that the application adds to the scene graph and whose pipelines do not exist.
+    pub new_states: NewStates,
     /// The number of frames whose statistics are kept.
     pub history_frames: usize,
     /// Draws views for two eyes: the master cameras and, by [`Slave::eyes`](super::super::Slave::eyes), their slaves.
@@ -95,6 +97,7 @@ impl Default for ViewerConfig {
             compile_pace: CompilePace::default(),
             compile_contexts: false,
             environment_changes: EnvironmentChanges::default(),
+            new_states: NewStates::default(),
             history_frames: 100_000,
             stereo: None,
             field_of_view: FieldOfView::LongerSide(60f64.to_radians()),

@@ -13,7 +13,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::changes::{EnvironmentChanges, EnvironmentRehearsals, Rehearsals};
+use super::changes::{EnvironmentChanges, EnvironmentRehearsals, NewStates, Rehearsals};
 use super::config::ViewerConfig;
 use super::device_loss::DeviceLoss;
 use super::draw_results::DrawResults;
@@ -223,8 +223,9 @@ impl FrameLoop {
             view.prepare(&self.rendering, scenes[view.scene()].bounds());
         }
         let changes = if self.is_blocking() { EnvironmentChanges::AtOnce } else { self.config.environment_changes };
-        let frame = self.stamp().frame;
-        let rehearsals = self.rehearsals.follow_environments(changes, frame, views, scenes, &mut self.probe);
+        let (frame, hides_unready) = (self.stamp().frame, self.hides_unready());
+        let probe = &mut self.probe;
+        let rehearsals = self.rehearsals.follow_environments(changes, hides_unready, frame, views, scenes, probe);
         if self.is_blocking() {
             let stamp = self.stamp();
             for group in self.pagers.iter_mut() {
@@ -246,6 +247,11 @@ impl FrameLoop {
 
     fn is_blocking(&self) -> bool {
         self.config.pager.blocking
+    }
+
+    /// Returns true if frames leave out what lacks a pipeline.
+    fn hides_unready(&self) -> bool {
+        self.config.new_states == NewStates::WhenReady && !self.is_blocking()
     }
 
     /// Runs the part of update after the application's callbacks. Returns true when draw reads data that the next update overwrites.
@@ -300,10 +306,11 @@ impl FrameLoop {
         let mut overlays = std::mem::take(&mut self.overlays);
         let FrameStamp { frame, simulation_time_s, .. } = self.stamp();
         self.pictures.begin_frame(frame);
-        let pictures = &self.pictures;
+        let (pictures, hides_unready) = (&self.pictures, self.hides_unready());
         let rendered = self.rendering.frame(
             |context| FrameJob {
                 read_back: pictures.reads_back(context, frame),
+                hides_unready,
                 rehearsals: rehearsals.extract_if(.., |(of, ..)| *of == context).map(|(_, s, e)| (s, e)).collect(),
                 #[cfg(feature = "window")]
                 overlays: overlays.extract_if(.., |(of, _)| *of == context).map(|(_, paint)| paint).collect(),

@@ -21,7 +21,7 @@ mod query_answers;
 mod snapshot;
 mod stats;
 
-pub use self::changes::EnvironmentChanges;
+pub use self::changes::{EnvironmentChanges, NewStates};
 pub use self::config::ViewerConfig;
 pub(super) use self::frame_loop::FrameLoop;
 pub use self::stats::{FrameStats, Samples, StatsHistory};

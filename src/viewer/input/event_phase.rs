@@ -14,7 +14,9 @@ impl GuiActionAdapter<'_> {
         input.queue.take_frame(&mut events, time_s);
         let first = events.first().filter(|first| !matches!(first.kind, EventKind::Frame));
         input.camera_motion.begin_frame(first.map(|first| time_s - first.time_s));
-        input.needs_redraw = false;
+        if std::mem::take(&mut input.needs_redraw) {
+            self.view.shown.note_request();
+        }
         input.is_in_event_phase = true;
         for event in &mut events {
             self.handle_event(event);

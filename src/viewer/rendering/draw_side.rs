@@ -456,6 +456,7 @@ impl DrawSide {
             self.renderer.rehearse_next(stage, environment);
         }
         self.renderer.timed = (job.context, job.frame);
+        self.renderer.hides_unready = job.hides_unready;
         let stats = self.draw(index, job.clock);
         let missing_pipelines = self.renderer.take_rehearsed();
         self.complete_dynamic(index);

@@ -24,6 +24,9 @@ pub(in crate::viewer) struct FrameJob {
     pub(in crate::viewer) stage: Option<(RenderStage, Environment)>,
     /// Views as a later frame will draw them, whose missing pipelines are ordered.
     pub(in crate::viewer) rehearsals: Vec<(RenderStage, Environment)>,
+    /// Leaves out what lacks a pipeline where the frame before was drawn in the same way; see
+    /// [`NewStates`](crate::viewer::NewStates).
+    pub(in crate::viewer) hides_unready: bool,
     /// The times that shader programs see.
     pub(in crate::viewer) clock: FrameClock,
     /// The limit of uploads before the frame is drawn.

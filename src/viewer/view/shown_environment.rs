@@ -25,6 +25,12 @@ pub(in crate::viewer) struct ShownEnvironment {
     /// `None` before the first frame.
     shown: Option<Environment>,
     change: Option<Change>,
+    /// The latest frame that is drawn, and the number of pipelines that it lacked in all contexts of the view.
+    awaited: (u32, u32),
+    /// The application has asked for a frame.
+    is_asked: bool,
+    /// The frame that it got, until the result is known: it may have left something out.
+    asked: Option<u32>,
 }
 
 impl ShownEnvironment {
@@ -33,9 +39,28 @@ impl ShownEnvironment {
         self.shown.unwrap_or(*set)
     }
 
-    /// Returns true while a change waits for its pipelines.
+    /// Returns true while a change waits for its pipelines, or frames leave out what lacks one.
     pub(in crate::viewer) fn is_changing(&self) -> bool {
-        self.change.is_some()
+        self.change.is_some() || self.awaited.1 > 0 || self.asked.is_some()
+    }
+
+    /// Notes that the application has asked for a frame: the scene may have changed.
+    pub(in crate::viewer) fn note_request(&mut self) {
+        self.is_asked = true;
+    }
+
+    /// Begins a frame, which may leave out what lacks a pipeline.
+    pub(in crate::viewer) fn begin_frame(&mut self, frame: u32, hides_unready: bool) {
+        if std::mem::take(&mut self.is_asked) && hides_unready {
+            self.asked = Some(frame);
+        }
+    }
+
+    /// Takes the number of pipelines that a frame lacked in one context of the view.
+    pub(in crate::viewer) fn note_awaited(&mut self, frame: u32, count: u32) {
+        let others = if self.awaited.0 == frame { self.awaited.1 } else { 0 };
+        self.awaited = (frame, others.saturating_add(count));
+        self.asked = self.asked.filter(|asked| *asked > frame);
     }
 
     /// Takes the application's environment for the next frame. If `waits`, a change that needs other pipelines waits for them; until

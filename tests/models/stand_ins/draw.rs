@@ -46,11 +46,12 @@ pub struct Renderer {
     /// The context and the frame.
     pub timed: (u32, u32),
     pub clock: FrameClock,
+    pub hides_unready: bool,
 }
 
 impl Renderer {
     pub fn new(_context: &mut GraphicsContext) -> Self {
-        Self { timed: (0, 0), clock: FrameClock::default() }
+        Self { timed: (0, 0), clock: FrameClock::default(), hides_unready: false }
     }
 
     pub fn draw_views<'a>(

@@ -3,10 +3,10 @@
 //! All pages are the same small file and stay wanted. With a budget that is not exhausted no page is examined. With a full
 //! budget a part of them is examined for eviction in each frame.
 //!
-//! At first no request is served. The camera stands still, then moves, so that the priorities of all requests
-//! change in each frame; then many contents arrive at once. The ratio of the longest update to the median tells whether an
-//! update is bounded: by the clock, which also counts the time in which busy loading threads have the core, and by the
-//! processor time of the thread that updates.
+//! At first no request is served. All requests appear at once. The camera stands still, then moves, so that the priorities of
+//! all requests change in each frame; then many contents arrive at once. In the end it turns away, and nearly all requests are
+//! unwanted at once. The ratio of the longest update to the median tells whether an update is bounded: by the clock, which
+//! also counts the time in which busy loading threads have the core, and by the processor time of the thread that updates.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -38,6 +38,8 @@ const ANSWERS: usize = 1_000;
 const KNOWN: usize = 8;
 /// The number of decode threads that allows [`ANSWERS`] contents to be under way.
 const DECODE_THREADS: usize = 96;
+/// Tiles that are wanted after the camera has turned away.
+const LEFT: usize = 1_000;
 /// The least number of updates measured in each case.
 const MIN_UPDATES: usize = 30;
 
@@ -187,6 +189,23 @@ impl Crowd {
         UpdateTime { wall_us, cpu_us }
     }
 
+    /// Measures until as many requests wait as the cameras make.
+    fn follow(&mut self, case: &'static str) -> Result<Updates> {
+        let (mut times, start) = (Vec::new(), Instant::now());
+        while times.len() < MIN_UPDATES || self.pager.stats().waiting != self.requests.len() as u64 {
+            ensure!(start.elapsed() < TIMEOUT, "other requests wait: {:?}", self.pager.stats());
+            times.push(self.update());
+        }
+        Ok(Updates { case, waiting: self.pager.stats().waiting, times })
+    }
+
+    /// Turns the camera away from most tiles, and measures until their requests are dropped.
+    fn turn(&mut self) -> Result<Updates> {
+        self.pager.set_paused(true);
+        self.slots.drain(..self.slots.len().saturating_sub(LEFT));
+        self.follow("camera turns")
+    }
+
     fn updates(&mut self, case: &'static str, secs: f64, moves: bool) -> Updates {
         let (mut times, until) = (Vec::new(), Instant::now() + Duration::from_secs_f64(secs.max(0.0)));
         while times.len() < MIN_UPDATES || Instant::now() < until {
@@ -221,16 +240,14 @@ impl Crowd {
     }
 }
 
-/// Measures updates while `requests` wait: with a camera that stands, with one that moves, and while contents arrive.
-fn crowded_updates(uri: &Arc<str>, requests: usize, secs: f64) -> Result<[Updates; 3]> {
+/// Measures updates while `requests` wait: when they appear, with a camera that stands, with one that moves, while contents
+/// arrive, and when the camera turns away.
+fn crowded_updates(uri: &Arc<str>, requests: usize, secs: f64) -> Result<[Updates; 5]> {
     let mut crowd = Crowd::new(uri, requests + ANSWERS)?;
-    // The first updates list all requests.
-    for _ in 0..3 {
-        crowd.update();
-    }
+    let new = crowd.follow("requests appear")?;
     let still = crowd.updates("camera stands", secs, false);
     let moving = crowd.updates("camera moves", secs, true);
-    Ok([still, moving, crowd.burst(secs)?])
+    Ok([new, still, moving, crowd.burst(secs)?, crowd.turn()?])
 }
 
 /// Prints a line for a budget with spare room and one for a full budget, and a line for each case with waiting requests.

@@ -23,7 +23,18 @@ fn bench(args: &[&str]) -> Vec<Value> {
 fn bench_of_updates_measures_all_cases() {
     let lines = bench(&["resident", "--tiles", "100", "--requests", "100", "--secs", "0"]);
     let cases: Vec<_> = lines.iter().map(|line| line["budget"].as_str().unwrap()).collect();
-    assert_eq!(cases, ["room to spare", "full", "camera stands", "camera moves", "answers at once"]);
+    assert_eq!(
+        cases,
+        [
+            "room to spare",
+            "full",
+            "requests appear",
+            "camera stands",
+            "camera moves",
+            "answers at once",
+            "camera turns"
+        ]
+    );
     assert!(lines.iter().all(|line| line["update_p50_us"].as_f64().unwrap() > 0.0), "{lines:?}");
 }
 
