@@ -159,7 +159,7 @@ impl WorldSet {
         }
     }
 
-    /// Returns the description of a mesh by bounds of its heights in metres, by the error of its grid, and by its measures.
+    /// Returns the description of a tile by bounds of its heights in metres, by the error of its grid, and by the measures of a mesh.
     pub(super) fn described(
         &self,
         key: TileKey,

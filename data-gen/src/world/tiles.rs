@@ -210,8 +210,12 @@ impl WorldSet {
 
     /// Returns the heights of a tile's vertices in metres, row by row from the north, with a border of one sample.
     pub fn heights_m(&self, key: TileKey) -> Vec<f32> {
-        let southern_first = self.with_buffers(|buffers| heights_m(&self.patch(key, buffers)));
-        northern_first(&southern_first)
+        northern_first(&self.samples_m(key))
+    }
+
+    /// Returns the same heights, southern row first.
+    pub(super) fn samples_m(&self, key: TileKey) -> Vec<f32> {
+        self.with_buffers(|buffers| heights_m(&self.patch(key, buffers)))
     }
 
     /// Computes the files of a tile.
