@@ -4,6 +4,7 @@
 //! sunlight; the baked shading is the share of the sky that is visible from a point.
 
 use rayon::prelude::*;
+use terrane::math::WGS84;
 
 use super::imagery::Imagery;
 use crate::noise::{add_gradient_row, fbm_row};
@@ -17,6 +18,8 @@ const N: usize = TEXELS as usize;
 /// Paints the tiles of a block. Threads share one painter.
 pub(crate) struct Painter<'a> {
     set: &'a Extent,
+    /// The equatorial radius of the body in metres.
+    radius_m: f64,
     imagery: Option<&'a Imagery>,
     /// The heights for each level of the block, root first.
     surfaces: Vec<Surface<'a>>,
@@ -30,7 +33,8 @@ impl<'a> Painter<'a> {
     pub fn new(block: &'a Block<'_>, set: &'a Extent, imagery: Option<&'a Imagery>, range_m: [f32; 2]) -> Self {
         let levels = (block.root.level..=block.layer.finest).into_par_iter();
         let surfaces = levels.map(|level| block.surface(level)).collect();
-        Self { set, imagery, surfaces, root_level: block.root.level, range_m }
+        let radius_m = block.ellipsoid().semi_major_m;
+        Self { set, radius_m, imagery, surfaces, root_level: block.root.level, range_m }
     }
 
     /// Returns the RGB texels of a tile, north row first.
@@ -40,7 +44,7 @@ impl<'a> Painter<'a> {
         let mut rgb = Vec::with_capacity(N * N * 3);
         let tiles = f64::from(1u32 << key.level);
         let u = [0.5, N as f64 - 0.5].map(|c| (f64::from(key.x) + c / N as f64) / tiles);
-        let mut terrain = TerrainRow::new(surface, self.set, u);
+        let mut terrain = TerrainRow::new(surface, self.set, self.radius_m, u);
         let mut colors = [[0.0f32; N]; 3];
         let texel = [e.east - e.west, e.north - e.south].map(|side| side / N as f64);
         let mut imagery = self.imagery.map(|imagery| imagery.sampler(&e, texel));
@@ -90,10 +94,12 @@ struct TerrainRow {
 
 impl TerrainRow {
     /// Creates the row. `u` is the position of the first and the last texel, 0..1 over the set.
-    fn new(surface: &Surface<'_>, extent: &Extent, u: [f64; 2]) -> Self {
+    fn new(surface: &Surface<'_>, extent: &Extent, radius_m: f64, u: [f64; 2]) -> Self {
         let mean_lat = 0.5 * (extent.south + extent.north);
+        // That of the earth is 6371 km here: colours of older sets stay.
+        let radius_m = radius_m * (6_371_000.0 / WGS84.semi_major_m);
         let sides_m =
-            [6_371_000.0 * mean_lat.cos() * (extent.east - extent.west), 6_371_000.0 * (extent.north - extent.south)];
+            [radius_m * mean_lat.cos() * (extent.east - extent.west), radius_m * (extent.north - extent.south)];
         let [fine, coarser @ ..] = surface.lattices();
         let cells = fine.cells as f64;
         Self {

@@ -110,7 +110,7 @@ pub(super) fn crs(text: &str) -> Result<Crs, String> {
     if let Some(definition) = quoted_after(text, "EXTENSION[\"PROJ4\",") {
         return match definition.contains("+proj=merc +a=6378137 +b=6378137") {
             true => Ok(Crs::WebMercator),
-            false => Projection::new(definition).map(Crs::Projection),
+            false => Projection::new(definition).map(Crs::of),
         };
     }
     // Names of EPSG that the crate does not know yet.
@@ -124,7 +124,7 @@ pub(super) fn crs(text: &str) -> Result<Crs, String> {
         return Err("WKT: a projection from another meridian than Greenwich is not supported".to_owned());
     }
     let found = with_datum(&found, &text).unwrap_or(found);
-    Projection::new(&found).map(Crs::Projection)
+    Projection::new(&found).map(Crs::of)
 }
 
 /// Returns a definition with the datum of a WKT that has no parameters of its own, if the datum is known.

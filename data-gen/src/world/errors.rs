@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use terrane::math::random::SplitMix64;
 
 use super::planet::RowBuffers;
-use super::points::{RADIUS_M, meridians};
+use super::points::meridians;
 use super::surface::TEXELS_PER_CELL;
 use super::tiles::WorldSet;
 use crate::TileKey;
@@ -61,7 +61,7 @@ pub(super) fn level_errors_m(set: &WorldSet) -> Vec<f64> {
         let e = set.extent(root);
         let cell = [e.east - e.west, e.north - e.south].map(|side| side / CELLS as f64);
         // The height of arcs above their chords, along both sides of a cell.
-        let bulge_m: f64 = cell.iter().map(|side| RADIUS_M * side * side / 8.0).sum();
+        let bulge_m: f64 = cell.iter().map(|side| set.world().radius_m() * side * side / 8.0).sum();
         let below_m = if set.world().has_rivers(set.lattice(root, 0).step_m()) { 0.0 } else { valley_m };
         let measured_m = (MARGIN * measures[level].error_m).min(relief_m) + below_m;
         errors[level] = (measured_m + bulge_m).max(least_error_m(set, level as u32)).max(RATIO * next_m);

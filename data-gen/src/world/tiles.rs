@@ -8,7 +8,7 @@ use terrane::formats::writers::{write_height_exr, write_packed_heights};
 use super::errors::level_errors_m;
 use super::form::{MeshMeasures, TileForm, range_m, roughness};
 use super::planet::{RowBuffers, World};
-use super::points::{RADIUS_M, meridians, sin_cos};
+use super::points::{meridians, sin_cos};
 use super::scatter::{MAX_CELL_M, Scatter, TALLEST_M};
 use super::surface::{Lattice, Patch, TEXELS_PER_CELL};
 use crate::output::{Look, compress};
@@ -88,7 +88,7 @@ impl WorldSet {
     /// Creates the set of a square around a longitude and latitude in radians, with sides in metres. The latitude is moved
     /// so that the square does not reach over a pole.
     pub fn square(world: World, [longitude, latitude]: [f64; 2], size_m: f64, levels: u32) -> Self {
-        let half = 0.5 * size_m / RADIUS_M;
+        let half = (0.5 * size_m / world.radius_m()).min(0.49 * PI);
         let latitude = latitude.clamp(half - 0.49 * PI, 0.49 * PI - half);
         let half_longitude = (half / sin_cos(latitude).1).min(PI);
         let west = longitude - half_longitude;
@@ -200,6 +200,7 @@ impl WorldSet {
             steps: (cells << key.level) as f64,
             column: i64::from(key.x) * cells,
             row: i64::from(key.y) * cells,
+            radius_m: self.world.radius_m(),
         }
     }
 

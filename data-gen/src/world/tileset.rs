@@ -6,12 +6,12 @@ use std::f64::consts::PI;
 use serde_json::{Value, json};
 
 use super::form::Described;
-use super::points::{RADIUS_M, sin_cos};
+use super::points::sin_cos;
 use super::scatter::WIDEST_M;
 use super::tiles::WorldSet;
-use crate::TileKey;
 use crate::output::{Entry, SUBTREE_LEVELS, SUBTREES, descendants, subtree, subtree_name, tile_class};
 use crate::pyramid::{CELLS, QUANTUM_M};
+use crate::{TileKey, body};
 
 /// The number of levels in a tileset.
 pub(super) const LEVELS_PER_TILESET: u32 = 3;
@@ -65,7 +65,9 @@ impl WorldSet {
         }
         let error_m = root["geometricError"].as_f64().unwrap_or_default().max(errors_m[level as usize]);
         root["refine"] = "REPLACE".into();
-        json!({ "asset": asset, "geometricError": 2.0 * error_m, "root": root })
+        let mut tileset = json!({ "asset": asset, "geometricError": 2.0 * error_m, "root": root });
+        body::declare(&self.world().ellipsoid, &mut tileset);
+        tileset
     }
 
     /// Returns the tileset of implicit tiling. The trees and rocks of tiles are a second content. It is computed alone, as
@@ -103,7 +105,7 @@ impl WorldSet {
     /// in metres.
     fn region(&self, key: TileKey, [low_m, high_m]: [f64; 2], margin_m: f64) -> [f64; 6] {
         let e = self.extent(key);
-        let dy = margin_m / RADIUS_M;
+        let dy = margin_m / self.world().radius_m();
         let dx = dy / sin_cos(e.south.abs().max(e.north.abs())).1.max(0.01);
         [
             (e.west - dx).max(-PI).min(e.west),

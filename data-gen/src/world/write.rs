@@ -17,7 +17,7 @@ use crate::{GenError, Progress, Shard, Summary, TileKey};
 /// Returns the set that the options describe; `None` without `--world`.
 pub(crate) fn world_set(args: &GenArgs, default_levels: u32) -> Option<WorldSet> {
     let preset = args.world.world?;
-    let world = World::new(preset, args.seed);
+    let world = World::on(preset, args.seed, args.output.ellipsoid());
     // Terrain for globes counts levels from that of the whole earth.
     let own_levels = args.levels.filter(|_| args.content != ContentKind::QuantizedMesh);
     let levels = own_levels.unwrap_or(default_levels);
@@ -44,7 +44,8 @@ const SHARD_LEVELS: u32 = 3;
 
 /// Returns the roots of the subtrees that shards make, in order.
 pub(crate) fn shard_roots(set: &WorldSet) -> Vec<TileKey> {
-    descendants(TileKey::ROOT, set.levels().saturating_sub(SHARD_LEVELS)).collect()
+    let level = set.levels().saturating_sub(SHARD_LEVELS).max(1).min(set.levels().saturating_sub(1));
+    descendants(TileKey::ROOT, level).collect()
 }
 
 /// Returns the number of tiles of a set at and below those of a level, for each of them.
@@ -62,14 +63,18 @@ pub(crate) fn check_world(args: &GenArgs) -> Result<(), String> {
         };
     }
     let is_terrain = args.content == ContentKind::QuantizedMesh;
+    let ellipsoid = args.output.ellipsoid();
+    if !World::can_lie_on(&ellipsoid) {
+        return Err("--body: radii of worlds are 10 to 20,000 km".to_owned());
+    }
+    if !world.globe && args.size > ellipsoid.semi_major_m {
+        return Err(format!("--size {} m is larger than the radius of the body", args.size));
+    }
     let problem = match args.content {
         _ if !args.imagery.is_empty() => "--imagery has no effect with --world",
         ContentKind::QuantizedMesh if world.scatter => "--scatter has no effect with --content quantized-mesh",
         ContentKind::Height if args.tiles.no_meshopt => {
             "--no-meshopt has no effect with --world without --content mesh"
-        }
-        ContentKind::Mesh if args.output.is_packed() && world.scatter => {
-            "--scatter is not supported with --archive packed and --content mesh: packed tiles have one mesh"
         }
         _ if !is_terrain && args.levels.is_some_and(|levels| levels > MAX_LEVELS) => {
             return Err(format!(
@@ -192,7 +197,14 @@ impl Run<'_> {
             let samples = own_samples(key, &tile.heights_m);
             for ((coarser, heights_m), most) in above.iter().zip(&mut above_m) {
                 let height_m = |i: i64, j: i64| heights_m[(j + 1) as usize * (CELLS + 3) + (i + 1) as usize];
-                *most = distance_to_finer_m(&set.extent(TileKey::ROOT), *coarser, height_m, key, &samples);
+                *most = distance_to_finer_m(
+                    &set.world().ellipsoid,
+                    &set.extent(TileKey::ROOT),
+                    *coarser,
+                    height_m,
+                    key,
+                    &samples,
+                );
             }
         }
         high_m += set.tallest_m(key.level);
