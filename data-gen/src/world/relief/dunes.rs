@@ -196,7 +196,7 @@ fn unit(v: [f32; 3]) -> [f32; 3] {
 #[cfg(test)]
 mod tests {
     use super::super::super::planet::RowBuffers;
-    use super::super::super::points::meridians;
+    use super::super::super::points::{RADIUS_M, meridians};
     use super::super::super::{World, WorldPreset};
     use super::*;
 

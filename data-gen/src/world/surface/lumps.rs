@@ -111,7 +111,7 @@ fn add_lumps(points: &Points, frequency: f64, seed: u32, amplitude: f32, dome: &
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::points::meridians;
+    use super::super::super::points::{RADIUS_M, meridians};
     use super::*;
 
     fn row(step_m: f64) -> Points {
