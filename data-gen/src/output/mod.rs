@@ -32,4 +32,4 @@ pub use partial_folder::PartialFolder;
 pub(crate) use partial_folder::{MARKER, ROOTS};
 pub(crate) use terrain::{METADATA_LEVELS, TerrainSet, Written, spread};
 pub(crate) use tile_set::{compress, write_whole};
-pub(crate) use tree::{half_step_m, level_errors_m, sagitta_m, voids};
+pub(crate) use tree::{half_step_m, level_errors_m, sagitta_m, undrawn_error_m, voids};

@@ -171,10 +171,10 @@ impl<'a> Tree<'a> {
         let args = self.args;
         let is_implicit = args.output.tiling == Tiling::Implicit;
         let facts = self.block.facts(TileKey::ROOT);
-        let diagonal_m = 2.0 * (facts.error_m + f64::from(facts.max_height_m - facts.min_height_m)) + 1.0;
+        let undrawn_m = undrawn_error_m(&self.block.ellipsoid(), &self.block.extent(TileKey::ROOT));
         let tree = if is_implicit { self.implicit_root() } else { self.tile(TileKey::ROOT, DAffine3::IDENTITY, "") };
         let root_error_m = tree["geometricError"].as_f64().unwrap_or(facts.error_m);
-        let mut tileset = json!({ "asset": asset(args, totals, 0), "geometricError": diagonal_m.max(2.0 * root_error_m), "root": tree });
+        let mut tileset = json!({ "asset": asset(args, totals, 0), "geometricError": undrawn_m.max(2.0 * root_error_m), "root": tree });
         (tileset["schema"], tileset["metadata"]) = (schema(), metadata(args, &self.block.ellipsoid(), totals));
         if is_implicit {
             tileset["schema"]["classes"]["tile"] = tile_class();
@@ -241,6 +241,12 @@ pub(crate) fn external_tileset(args: &GenArgs, totals: &Totals, root: TileKey, r
 pub(crate) fn sagitta_m(ellipsoid: &Ellipsoid, e: &Extent) -> f64 {
     let cell = (e.east - e.west).max(e.north - e.south) / CELLS as f64;
     ellipsoid.semi_major_m * cell * cell / 4.0
+}
+
+/// Returns the error in metres of a client that draws nothing of a set: the length of its longer side, at most two radii. CesiumJS draws
+/// the root of a set only where this error is seen.
+pub(crate) fn undrawn_error_m(ellipsoid: &Ellipsoid, e: &Extent) -> f64 {
+    ellipsoid.semi_major_m * (e.east - e.west).max(e.north - e.south).min(2.0)
 }
 
 /// Returns the largest rounding of the quantized vertices of a mesh in metres. `high_m` is the difference of its heights.

@@ -9,7 +9,7 @@ use super::form::Described;
 use super::points::sin_cos;
 use super::scatter::WIDEST_M;
 use super::tiles::WorldSet;
-use crate::output::{Entry, SUBTREE_LEVELS, SUBTREES, descendants, subtree, subtree_name, tile_class};
+use crate::output::{Entry, SUBTREE_LEVELS, SUBTREES, descendants, subtree, subtree_name, tile_class, undrawn_error_m};
 use crate::pyramid::{CELLS, QUANTUM_M};
 use crate::{TileKey, body};
 
@@ -65,7 +65,11 @@ impl WorldSet {
         }
         let error_m = root["geometricError"].as_f64().unwrap_or_default().max(errors_m[level as usize]);
         root["refine"] = "REPLACE".into();
-        let mut tileset = json!({ "asset": asset, "geometricError": 2.0 * error_m, "root": root });
+        let mut set_error_m = 2.0 * error_m;
+        if level == 0 {
+            set_error_m = set_error_m.max(undrawn_error_m(&self.world().ellipsoid, &self.extent(TileKey::ROOT)));
+        }
+        let mut tileset = json!({ "asset": asset, "geometricError": set_error_m, "root": root });
         body::declare(&self.world().ellipsoid, &mut tileset);
         tileset
     }
@@ -88,13 +92,14 @@ impl WorldSet {
                 "subdivisionScheme": "QUADTREE", "subtreeLevels": SUBTREE_LEVELS, "availableLevels": self.levels(),
                 "subtrees": { "uri": SUBTREES },
             },
-            "contents": [content(self.form.surface())],
         });
         if let Some(imagery) = self.form.imagery() {
             tile["extras"] = json!({ "terrane": { "imagery": template(imagery) } });
         }
-        if self.has_instances() {
-            tile["contents"] = json!([content(self.form.surface()), content(self.form.scatter())]);
+        // Some clients read `contents` of several only.
+        match self.has_instances() {
+            true => tile["contents"] = json!([content(self.form.surface()), content(self.form.scatter())]),
+            false => tile["content"] = content(self.form.surface()),
         }
         let mut tileset = self.tileset_of(0, tile, described.level_errors_m);
         tileset["schema"] = json!({ "id": "terrane", "classes": { "tile": tile_class() } });
