@@ -12,6 +12,7 @@
 //! All cores work (rayon), and the number of threads does not change the bytes that are written. No GPU is used.
 
 mod args;
+mod body;
 mod color;
 mod elevation;
 mod error;
@@ -34,6 +35,7 @@ mod web_tiles;
 mod world;
 
 pub use args::{Color, ContentKind, GenArgs, Summary, Voids};
+pub use body::BodyArg;
 pub use elevation::{
     DEFAULT_CACHE_BYTES, ElevationSource, HeightEncoding, Procedural, Raster, RasterOptions, SampleRow, SourceSample,
 };

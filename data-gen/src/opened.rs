@@ -3,7 +3,10 @@
 use std::f64::consts::PI;
 use std::sync::Arc;
 
+use terrane::math::{Ellipsoid, WGS84};
+
 use crate::args::MAX_LEVELS;
+use crate::body::is_same;
 use crate::color::{Imagery, TEXELS};
 use crate::elevation::{DEFAULT_CACHE_BYTES, Mosaic, SourceContext, open_all, use_overviews};
 use crate::georeference::{DatumGrid, ROUNDING};
@@ -11,7 +14,7 @@ use crate::output::TerrainSet;
 use crate::pyramid::{ALIGNED, CELLS, Grid, Plan};
 use crate::store::BlockCache;
 use crate::world::{WorldSource, world_set};
-use crate::{Color, ContentKind, ElevationSource, Extent, GenArgs, GenError, Procedural, Raster};
+use crate::{Color, ContentKind, ElevationSource, Extent, GenArgs, GenError, Procedural, Raster, VerticalDatum};
 
 /// Longitude and latitude of the middle of procedural terrain, in degrees.
 const PROCEDURAL_CENTER: [f64; 2] = [8.0, 47.0];
@@ -34,6 +37,8 @@ pub(crate) struct Opened<'a> {
 struct Terrain {
     source: Box<dyn ElevationSource>,
     extent: Extent,
+    /// The ellipsoid of the body that the elevation is of.
+    ellipsoid: Ellipsoid,
     /// The smallest step between samples, east and north, in radians.
     step: [f64; 2],
     levels: u32,
@@ -52,8 +57,8 @@ struct Terrain {
 impl Terrain {
     /// Returns terrain that has no files.
     fn of_formula(source: Box<dyn ElevationSource>, extent: Extent, step: [f64; 2], levels: u32) -> Self {
-        let (places, notes) = (Vec::new(), Vec::new());
-        Self { source, extent, step, levels, is_fine: false, places, pixel: [0.0; 2], notes, context: None }
+        let (places, notes, ellipsoid) = (Vec::new(), Vec::new(), WGS84);
+        Self { source, extent, ellipsoid, step, levels, is_fine: false, places, pixel: [0.0; 2], notes, context: None }
     }
 }
 
@@ -85,6 +90,7 @@ fn terrain(
     let options = args.raster_options();
     let context = SourceContext::new(Arc::clone(cache), args.vertical_datum.geoid()?, datum_grid.cloned());
     let mut rasters = unwrap_at_date_line(open_all(&args.dem, &options, &context)?);
+    let ellipsoid = ellipsoid_of(args, &rasters)?;
     let mut e = Extent { west: f64::MAX, south: f64::MAX, east: f64::MIN, north: f64::MIN };
     // The smallest step between samples, east and north, in radians.
     let mut step = [f64::INFINITY; 2];
@@ -144,9 +150,48 @@ fn terrain(
     let places = rasters.iter().map(Raster::bounds).collect();
     let distances = rasters.iter().map(Raster::sample_distance);
     let pixel = distances.fold([0.0f64; 2], |widest, own| [widest[0].max(own[0]), widest[1].max(own[1])]);
-    let source = Box::new(Mosaic::new(rasters, args.blend));
+    // Blends know the size of the earth.
+    let blend = args.blend * (WGS84.semi_major_m / ellipsoid.semi_major_m);
+    let source = Box::new(Mosaic::new(rasters, blend));
     let is_fine = levels >= needed;
-    Ok(Terrain { source, extent: e, step, levels, is_fine, places, pixel, notes, context: Some(context) })
+    Ok(Terrain { source, extent: e, ellipsoid, step, levels, is_fine, places, pixel, notes, context: Some(context) })
+}
+
+/// Returns the ellipsoid of the body that elevation is of: that of `--body`, or of the reference systems of the files. Files of different
+/// bodies are an error.
+fn ellipsoid_of(args: &GenArgs, rasters: &[Raster]) -> Result<Ellipsoid, GenError> {
+    let mut found = args.output.body.map(|body| (body.0, "--body".to_owned()));
+    for raster in rasters {
+        let own = match raster.ellipsoid() {
+            // Degrees that name no body are those of the one that is given.
+            None if args.output.body.is_some() => continue,
+            own => own.unwrap_or(WGS84),
+        };
+        let Some((ellipsoid, of)) = &found else {
+            found = Some((own, raster.path().display().to_string()));
+            continue;
+        };
+        if !is_same(&own, ellipsoid) {
+            let radii = |e: &Ellipsoid| format!("{} and {} m", e.semi_major_m, e.semi_minor_m);
+            let reason = format!(
+                "the ellipsoid of its reference system has radii of {}, and that of {of} {}",
+                radii(&own),
+                radii(ellipsoid)
+            );
+            return Err(GenError::invalid(raster.path(), reason));
+        }
+    }
+    let (ellipsoid, of) = found.unwrap_or((WGS84, String::new()));
+    match is_same(&ellipsoid, &WGS84) {
+        true => Ok(WGS84),
+        false if args.vertical_datum != VerticalDatum::Ellipsoid || args.datum_grid.is_some() => {
+            Err(GenError::Argument(format!("--vertical-datum and --datum-grid are about the earth, {of} is not")))
+        }
+        false if args.content == ContentKind::QuantizedMesh => Err(GenError::Argument(format!(
+            "--content quantized-mesh is terrain of the earth, {of} is not: layer.json names no body"
+        ))),
+        false => Ok(ellipsoid),
+    }
 }
 
 /// Returns the number of levels whose finest one has steps of at most a size, for a rectangle with these sides. A tile has
@@ -161,8 +206,11 @@ fn levels_for(sides: [f64; 2], step: [f64; 2], per_tile: usize) -> u32 {
 /// Heights of the earth in metres, with some room.
 const EARTH_M: [f32; 2] = [-12_000.0, 9_000.0];
 
-/// Returns notes about heights that were read and that the earth does not have.
-fn notes(context: &SourceContext) -> Vec<String> {
+/// Returns notes about heights that were read and that the earth does not have. There are none about other bodies.
+fn notes(context: &SourceContext, ellipsoid: &Ellipsoid) -> Vec<String> {
+    if *ellipsoid != WGS84 {
+        return Vec::new();
+    }
     let [low, high] = context.seen.range_m().unwrap_or(EARTH_M);
     let unusual = [(low < EARTH_M[0]).then_some(low), (high > EARTH_M[1]).then_some(high)];
     let note =
@@ -213,8 +261,9 @@ pub(crate) fn with_terrain<T>(
     check_use(datum_grid.as_deref())?;
     let needed = levels_for([PI; 2], terrain.step, CELLS);
     let levels = args.levels.unwrap_or(needed.min(MAX_LEVELS));
-    let Terrain { source, extent, places, pixel, notes, context, .. } = terrain;
-    let all_notes = || notes.iter().cloned().chain(context.iter().flat_map(|context| self::notes(context))).collect();
+    let Terrain { source, extent, ellipsoid, places, pixel, notes, context, .. } = terrain;
+    let all_notes =
+        || notes.iter().cloned().chain(context.iter().flat_map(|context| self::notes(context, &ellipsoid))).collect();
     let set = TerrainSet { source: source.as_ref(), extent, levels, is_fine: levels >= needed };
     if let Some(memory) = args.run.memory {
         cache.set_budget(cache_bytes(memory, set.work_bytes(args))?);
@@ -251,7 +300,7 @@ pub(crate) fn with_grid<T>(
         true => None,
         false => Some(Imagery::open(&args.imagery, args.epsg.as_ref(), datum_grid.as_deref(), &cache)?),
     };
-    let Terrain { source, extent, levels, is_fine, places, pixel, notes, context, .. } =
+    let Terrain { source, extent, ellipsoid, levels, is_fine, places, pixel, notes, context, .. } =
         terrain(args, imagery.as_ref(), datum_grid.as_ref(), &cache)?;
     check_use(datum_grid.as_deref())?;
     if let (Some(image), Some(path)) = (&imagery, args.imagery.first())
@@ -259,13 +308,20 @@ pub(crate) fn with_grid<T>(
     {
         return Err(GenError::invalid(path, "does not overlap the elevation"));
     }
-    let all_notes = || notes.iter().cloned().chain(context.iter().flat_map(|context| self::notes(context))).collect();
+    if let Some(image) = &imagery
+        && image.ellipsoids().any(|own| !is_same(&own, &ellipsoid))
+    {
+        let path = args.imagery.first().cloned().unwrap_or_default();
+        return Err(GenError::invalid(path, "is on another body than the elevation"));
+    }
+    let all_notes =
+        || notes.iter().cloned().chain(context.iter().flat_map(|context| self::notes(context, &ellipsoid))).collect();
     let (grid, plan) = if args.run.aligned {
         (Grid::aligned(source.as_ref(), levels, is_fine), Plan::aligned(levels, &extent))
     } else {
         (Grid::new(source.as_ref(), extent, levels, args.voids, is_fine), Plan::new(levels))
     };
-    let grid = grid.with_step(args.tiles.step_m());
+    let grid = grid.with_step(args.tiles.step_m()).on(ellipsoid);
     if let Some(memory) = args.run.memory {
         cache.set_budget(cache_bytes(memory, plan.work_bytes(args.color != Color::None))?);
     }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use rayon::prelude::*;
+use terrane::math::Ellipsoid;
 
 use super::files;
 use super::levels::{Level, Opened, completed};
@@ -49,6 +50,11 @@ impl Imagery {
             }
         }
         Ok(false)
+    }
+
+    /// Returns the ellipsoids that the reference systems of images name.
+    pub fn ellipsoids(&self) -> impl Iterator<Item = Ellipsoid> {
+        self.images.iter().filter_map(|image| image.placement.ellipsoid())
     }
 
     /// Returns the size of the smallest pixel at the centre of an image, in radians of longitude and latitude.

@@ -4,8 +4,10 @@
 //! sunlight; the baked shading is the share of the sky that is visible from a point.
 
 use rayon::prelude::*;
+use terrane::math::{Ellipsoid, MARS, WGS84};
 
 use super::imagery::Imagery;
+use crate::body::is_same;
 use crate::noise::{add_gradient_row, fbm_row};
 use crate::pyramid::{Block, Lattice, Surface, TileKey};
 use crate::{Extent, GenError};
@@ -17,6 +19,7 @@ const N: usize = TEXELS as usize;
 /// Paints the tiles of a block. Threads share one painter.
 pub(crate) struct Painter<'a> {
     set: &'a Extent,
+    ellipsoid: Ellipsoid,
     imagery: Option<&'a Imagery>,
     /// The heights for each level of the block, root first.
     surfaces: Vec<Surface<'a>>,
@@ -30,7 +33,8 @@ impl<'a> Painter<'a> {
     pub fn new(block: &'a Block<'_>, set: &'a Extent, imagery: Option<&'a Imagery>, range_m: [f32; 2]) -> Self {
         let levels = (block.root.level..=block.layer.finest).into_par_iter();
         let surfaces = levels.map(|level| block.surface(level)).collect();
-        Self { set, imagery, surfaces, root_level: block.root.level, range_m }
+        let ellipsoid = block.ellipsoid();
+        Self { set, ellipsoid, imagery, surfaces, root_level: block.root.level, range_m }
     }
 
     /// Returns the RGB texels of a tile, north row first.
@@ -40,7 +44,7 @@ impl<'a> Painter<'a> {
         let mut rgb = Vec::with_capacity(N * N * 3);
         let tiles = f64::from(1u32 << key.level);
         let u = [0.5, N as f64 - 0.5].map(|c| (f64::from(key.x) + c / N as f64) / tiles);
-        let mut terrain = TerrainRow::new(surface, self.set, u);
+        let mut terrain = TerrainRow::new(surface, self.set, &self.ellipsoid, u);
         let mut colors = [[0.0f32; N]; 3];
         let texel = [e.east - e.west, e.north - e.south].map(|side| side / N as f64);
         let mut imagery = self.imagery.map(|imagery| imagery.sampler(&e, texel));
@@ -80,6 +84,7 @@ struct TerrainRow {
     sides_m: [f64; 2],
     /// The distance between samples of the first level in metres, east and north.
     step_m: [f64; 2],
+    palette: &'static Palette,
     height: [f32; N],
     east: [f32; N],
     north: [f32; N],
@@ -90,10 +95,12 @@ struct TerrainRow {
 
 impl TerrainRow {
     /// Creates the row. `u` is the position of the first and the last texel, 0..1 over the set.
-    fn new(surface: &Surface<'_>, extent: &Extent, u: [f64; 2]) -> Self {
+    fn new(surface: &Surface<'_>, extent: &Extent, ellipsoid: &Ellipsoid, u: [f64; 2]) -> Self {
         let mean_lat = 0.5 * (extent.south + extent.north);
+        // That of the earth is 6371 km here: colours of older sets stay.
+        let radius_m = ellipsoid.semi_major_m * (6_371_000.0 / WGS84.semi_major_m);
         let sides_m =
-            [6_371_000.0 * mean_lat.cos() * (extent.east - extent.west), 6_371_000.0 * (extent.north - extent.south)];
+            [radius_m * mean_lat.cos() * (extent.east - extent.west), radius_m * (extent.north - extent.south)];
         let [fine, coarser @ ..] = surface.lattices();
         let cells = fine.cells as f64;
         Self {
@@ -102,6 +109,11 @@ impl TerrainRow {
             x_m: [u[0] * sides_m[0], (u[1] - u[0]) / (N - 1) as f64 * sides_m[0]],
             sides_m,
             step_m: sides_m.map(|m| m / cells),
+            palette: match ellipsoid {
+                earth if earth.is_earth() => &EARTH,
+                mars if is_same(mars, &MARS) => &RED,
+                _ => &GREY,
+            },
             height: [0.0; N],
             east: [0.0; N],
             north: [0.0; N],
@@ -129,7 +141,7 @@ impl TerrainRow {
         }
     }
 
-    /// Computes the sRGB colour, 0..255, of terrain in a temperate climate. The range is that of the set's heights. The loop has
+    /// Computes the sRGB colour, 0..255, of terrain in a temperate climate, or of bare ground. The range is that of the set's heights. The loop has
     /// no branches and separate arrays, so that the compiler can vectorise it.
     fn color(&self, [low_m, high_m]: [f32; 2], out: &mut [[f32; N]; 3]) {
         // Heights are relative to the set, so that all mountains have meadows at the foot and rock above.
@@ -138,6 +150,7 @@ impl TerrainRow {
         let hilly = smooth(100.0, 700.0, span);
         let scales_m = [4.0, 16.0, 64.0].map(|s| s * self.step_m[1] as f32);
         let [red, green, blue] = out;
+        let Palette { meadow: meadows, forest: forests, alpine: alps, rock: rocks, scree, snow } = self.palette;
         for k in 0..N {
             let (h, patch, grain) = (self.height[k], self.patch[k], self.grain[k]);
             let slope = (self.east[k] * self.east[k] + self.north[k] * self.north[k]).sqrt();
@@ -163,11 +176,11 @@ impl TerrainRow {
             let channel = |c: usize| {
                 let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
                 let pair = |p: &[[f32; 3]; 2], t: f32| mix(p[0][c], p[1][c], t);
-                let mut color = mix(pair(&MEADOW, meadow), pair(&FOREST, forest), wood);
-                color = mix(color, pair(&ALPINE, alpine), high);
-                color = mix(color, SCREE[c], loose);
-                color = mix(color, pair(&ROCK, rock), steep);
-                color = mix(color, SNOW[c], snowy);
+                let mut color = mix(pair(meadows, meadow), pair(forests, forest), wood);
+                color = mix(color, pair(alps, alpine), high);
+                color = mix(color, scree[c], loose);
+                color = mix(color, pair(rocks, rock), steep);
+                color = mix(color, snow[c], snowy);
                 color * shade
             };
             red[k] = channel(0);
@@ -177,12 +190,36 @@ impl TerrainRow {
     }
 }
 
-const MEADOW: [[f32; 3]; 2] = [[104.0, 122.0, 62.0], [134.0, 138.0, 82.0]];
-const FOREST: [[f32; 3]; 2] = [[58.0, 82.0, 46.0], [76.0, 98.0, 54.0]];
-const ALPINE: [[f32; 3]; 2] = [[122.0, 122.0, 84.0], [104.0, 104.0, 76.0]];
-const ROCK: [[f32; 3]; 2] = [[112.0, 106.0, 98.0], [140.0, 132.0, 120.0]];
-const SCREE: [f32; 3] = [148.0, 142.0, 132.0];
-const SNOW: [f32; 3] = [240.0, 244.0, 250.0];
+/// The colours of ground, sRGB 0..255. Pairs are mixed by noise.
+struct Palette {
+    meadow: [[f32; 3]; 2],
+    forest: [[f32; 3]; 2],
+    alpine: [[f32; 3]; 2],
+    rock: [[f32; 3]; 2],
+    scree: [f32; 3],
+    snow: [f32; 3],
+}
+
+const EARTH: Palette = Palette {
+    meadow: [[104.0, 122.0, 62.0], [134.0, 138.0, 82.0]],
+    forest: [[58.0, 82.0, 46.0], [76.0, 98.0, 54.0]],
+    alpine: [[122.0, 122.0, 84.0], [104.0, 104.0, 76.0]],
+    rock: [[112.0, 106.0, 98.0], [140.0, 132.0, 120.0]],
+    scree: [148.0, 142.0, 132.0],
+    snow: [240.0, 244.0, 250.0],
+};
+
+/// Bare ground: dust on plains, rock on slopes.
+const GREY: Palette =
+    Palette::bare([[104.0, 103.0, 101.0], [128.0, 126.0, 122.0]], [[126.0, 124.0, 120.0], [156.0, 153.0, 148.0]]);
+const RED: Palette =
+    Palette::bare([[150.0, 94.0, 64.0], [178.0, 116.0, 80.0]], [[122.0, 76.0, 54.0], [156.0, 102.0, 74.0]]);
+
+impl Palette {
+    const fn bare(dust: [[f32; 3]; 2], rock: [[f32; 3]; 2]) -> Self {
+        Self { meadow: dust, forest: dust, alpine: dust, rock, scree: rock[1], snow: rock[1] }
+    }
+}
 
 /// Interpolates one lattice along a row of texels: first between two rows of samples, then along them.
 struct LevelRow {

@@ -5,6 +5,8 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use terrane::math::Ellipsoid;
+
 use super::context::{DEFAULT_CACHE_BYTES, SourceContext};
 use super::formats::{self, Opened, RasterOptions};
 use crate::GenError;
@@ -189,6 +191,15 @@ impl Raster {
             self.placement = self.placement.clone().turned_east();
             self.bounds = self.measure_bounds();
         }
+    }
+
+    /// Returns the ellipsoid of the reference system; `None` for degrees without one.
+    pub(crate) fn ellipsoid(&self) -> Option<Ellipsoid> {
+        self.placement.ellipsoid()
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
     }
 
     /// Returns the width and height in samples.

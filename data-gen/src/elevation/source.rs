@@ -23,6 +23,12 @@ pub trait ElevationSource: Sync {
         Ok(false)
     }
 
+    /// Computes the depth of open water in metres, below 0 on land, at all pairs of longitudes and latitudes in radians, row by row in
+    /// the order of the latitudes. Returns false if the source does not know where water is; `out` is then unchanged.
+    fn water_depths_m(&self, _longitudes: &[f64], _latitudes: &[f64], _out: &mut [f32]) -> Result<bool, GenError> {
+        Ok(false)
+    }
+
     /// Calls with the samples of [`Self::samples_in`] in rows, if all rows have the same longitudes. Returns false, without a
     /// call, if they have not. [`SampleRow::is_extremum`] is empty unless `finds_extrema`.
     fn sample_rows(

@@ -17,7 +17,7 @@ use crate::output::{
 use crate::pyramid::{Grid, Layer, TileKey};
 use crate::update::{LocalSet, Manifest, OldSet, TerrainUpdate, keep_blocks};
 use crate::web_tiles::TileContent;
-use crate::world::{WorldArgs, WorldPreset, WorldSet, check_world, world_set, write_world};
+use crate::world::{WorldArgs, WorldPreset, WorldSet, check_world, shard_roots, tiles_below, world_set, write_world};
 use crate::{ContentKind, GenArgs, GenError, Prediction, PredictionFormat, Shard, Sharding, Summary};
 use crate::{prediction, shards};
 
@@ -87,6 +87,11 @@ pub fn execute(args: &GenArgs) -> Result<Outcome, GenError> {
         return with_terrain(args, |OpenedTerrain { set, .. }| {
             Ok(Outcome::Plan(print(set.levels, &set.roots(args), set.tiles_per_root())))
         });
+    }
+    if let Some(set) = tiled_world(args) {
+        let roots = shard_roots(&set);
+        let tiles = roots.first().map_or(0, |root| tiles_below(&set, root.level));
+        return Ok(Outcome::Plan(print(set.levels(), &roots, tiles)));
     }
     with_grid(args, |opened| {
         let layer = opened.plan.finest();
@@ -241,13 +246,6 @@ fn make(
     folder: &Path,
 ) -> Result<(Summary, Vec<PathBuf>), GenError> {
     let is_fresh = !Journal::new(folder).exists();
-    if let Some(set) = tiled_world(args) {
-        if is_fresh {
-            let tiles = (0..set.levels()).map(|level| 1u64 << (2 * level)).sum();
-            prediction::check_space(out, tiles, || prediction::predict_world(&set, out))?;
-        }
-        return Ok((write_world(&set, args.output.tiling, folder)?, Vec::new()));
-    }
     let is_complete = ROOTS.iter().any(|root| folder.join(root).is_file());
     let shards = match args.sharding.merge {
         // A merge was killed when the set was complete, and perhaps has removed some shards.
@@ -255,12 +253,20 @@ fn make(
         true => shards::gather(out, fingerprint, folder)?,
         false => Vec::new(),
     };
+    let finish_shard =
+        || args.sharding.shard.map_or(Ok(()), |shard| shards::write_manifest(folder, shard, fingerprint));
+    if let Some(set) = tiled_world(args) {
+        if is_fresh && args.sharding == Sharding::default() {
+            let tiles = tiles_below(&set, 0);
+            prediction::check_space(out, tiles, || prediction::predict_world(&set, out))?;
+        }
+        let summary = write_world(&set, args.output.tiling, folder, args.sharding.shard)?;
+        finish_shard()?;
+        return Ok((summary, shards));
+    }
     if args.content == ContentKind::QuantizedMesh {
-        let summary = with_terrain(args, |opened| {
-            let summary = make_terrain(args, opened, out, old, folder)?;
-            args.sharding.shard.map_or(Ok(()), |shard| shards::write_manifest(folder, shard, fingerprint))?;
-            Ok(summary)
-        })?;
+        let summary = with_terrain(args, |opened| make_terrain(args, opened, out, old, folder))?;
+        finish_shard()?;
         return Ok((summary, shards));
     }
     with_grid(args, |opened| {

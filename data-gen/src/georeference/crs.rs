@@ -3,7 +3,7 @@
 //! Transverse Mercator uses Krüger's series to the fourth order in n, with errors below a millimetre within a UTM zone
 //! (C. F. F. Karney, Transverse Mercator with an accuracy of a few nanometers, 2011, equations 7 to 11, 35, 36).
 
-use terrane::math::WGS84;
+use terrane::math::{Ellipsoid, WGS84};
 
 use super::projection::Projection;
 
@@ -28,6 +28,8 @@ pub enum Crs {
     /// Longitude and latitude in degrees, EPSG:4326. NAD83's 4269 and ETRS89's 4258 differ by less than two metres and
     /// are read as the same.
     Geographic,
+    /// Longitude and latitude in degrees on another body than the earth.
+    OnBody(Ellipsoid),
     /// Web Mercator, EPSG:3857, in metres.
     WebMercator,
     /// UTM in metres: EPSG:326zz and 327zz. 269zz (NAD83) and 258zz (ETRS89) differ by less than two metres and are read
@@ -65,10 +67,34 @@ impl Crs {
         }
     }
 
+    /// Returns the system of a definition in PROJ's notation.
+    pub(super) fn of(projection: Projection) -> Self {
+        let ellipsoid = projection.ellipsoid();
+        if ellipsoid != WGS84 && projection.is_plain_degrees() {
+            return Self::OnBody(ellipsoid);
+        }
+        Self::Projection(projection)
+    }
+
+    /// Returns the ellipsoid of the body that the system is of. `None` for degrees and Web Mercator, which are used on other bodies
+    /// as well: their coordinates depend on angles alone.
+    pub(crate) fn ellipsoid(&self) -> Option<Ellipsoid> {
+        match self {
+            Self::Geographic | Self::WebMercator => None,
+            Self::Utm { .. } => Some(WGS84),
+            Self::OnBody(ellipsoid) => Some(*ellipsoid),
+            Self::Projection(projection) => Some(projection.ellipsoid()),
+        }
+    }
+
+    fn is_degrees(&self) -> bool {
+        matches!(self, Self::Geographic | Self::OnBody(_))
+    }
+
     /// Returns the EPSG codes of the system's unit of length; empty for degrees and for units that are not known.
     pub(super) fn units_of_length(&self) -> &'static [u32] {
         let Self::Projection(projection) = self else {
-            return if *self == Self::Geographic { &[] } else { &[9001] };
+            return if self.is_degrees() { &[] } else { &[9001] };
         };
         match projection.unit_m() {
             Some(1.0) => &[9001],
@@ -81,7 +107,7 @@ impl Crs {
     /// Converts a longitude and latitude in radians to coordinates in the system, in degrees or metres.
     pub fn project(&self, longitude: f64, latitude: f64) -> [f64; 2] {
         match self {
-            Self::Geographic | Self::WebMercator => {
+            Self::Geographic | Self::OnBody(_) | Self::WebMercator => {
                 [self.x_of_longitude(longitude), self.y_of_latitude(latitude).unwrap_or(f64::NAN)]
             }
             Self::Utm { zone, north } => utm_from_geodetic(*zone, *north, longitude, latitude),
@@ -92,7 +118,7 @@ impl Crs {
     /// Returns the second coordinate of a latitude in radians if it is the same at all longitudes, in degrees or metres.
     pub(super) fn y_of_latitude(&self, latitude: f64) -> Option<f64> {
         match self {
-            Self::Geographic => Some(latitude.to_degrees()),
+            Self::Geographic | Self::OnBody(_) => Some(latitude.to_degrees()),
             Self::WebMercator => Some(WGS84.semi_major_m * (std::f64::consts::FRAC_PI_4 + 0.5 * latitude).tan().ln()),
             Self::Utm { .. } | Self::Projection(_) => None,
         }
@@ -101,13 +127,13 @@ impl Crs {
     /// Returns the first coordinate of a longitude in radians, in degrees or metres, in systems in which it is the same at
     /// all latitudes.
     pub(super) fn x_of_longitude(&self, longitude: f64) -> f64 {
-        if *self == Self::Geographic { longitude.to_degrees() } else { WGS84.semi_major_m * longitude }
+        if self.is_degrees() { longitude.to_degrees() } else { WGS84.semi_major_m * longitude }
     }
 
     /// Converts coordinates in the system to a longitude and latitude in radians.
     pub fn unproject(&self, x: f64, y: f64) -> [f64; 2] {
         match self {
-            Self::Geographic => [x.to_radians(), y.to_radians()],
+            Self::Geographic | Self::OnBody(_) => [x.to_radians(), y.to_radians()],
             Self::WebMercator => {
                 let latitude = 2.0 * (y / WGS84.semi_major_m).exp().atan() - std::f64::consts::FRAC_PI_2;
                 [x / WGS84.semi_major_m, latitude]

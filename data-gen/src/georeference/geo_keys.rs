@@ -119,12 +119,18 @@ impl GeoKeys {
             return Err(format!("GeoTIFF: longitudes from a meridian at {east}, which is not supported"));
         }
         // GeogSemiMajorAxis, unless GeogLinearUnits is another unit than the metre.
-        match self.double(2057).filter(|axis_m| !EARTH_AXES_M.contains(axis_m)) {
-            Some(axis_m) if matches!(self.number(2052), None | Some(9001)) => {
-                Err(format!("GeoTIFF: an ellipsoid of {axis_m} m is not the earth's"))
+        match self.axis_elsewhere_m() {
+            Some(axis_m) if !crs.as_ref().and_then(Crs::ellipsoid).is_some_and(|own| own.semi_major_m == axis_m) => {
+                Err(format!("GeoTIFF: an ellipsoid of {axis_m} m in a system of another one"))
             }
             _ => Ok(crs),
         }
+    }
+
+    /// Returns GeogSemiMajorAxis in metres, if it is not one of the earth's.
+    fn axis_elsewhere_m(&self) -> Option<f64> {
+        let axis_m = self.double(2057).filter(|axis_m| !EARTH_AXES_M.contains(axis_m))?;
+        matches!(self.number(2052), None | Some(9001)).then_some(axis_m)
     }
 
     fn system(&self, given: Option<Crs>) -> Result<Option<Crs>, String> {
@@ -142,8 +148,8 @@ impl GeoKeys {
                 let system = Crs::parse(self.esri_wkt().unwrap_or_default());
                 system.or_else(|reason| given.ok_or(reason)).map(Some).map_err(|reason| format!("GeoTIFF: {reason}"))
             }
-            // GeogTOWGS84: the shift of a datum without a code.
-            (_, Some(GEODETIC)) if self.shift().is_some() => {
+            // Another body, or GeogTOWGS84: the shift of a datum without a code.
+            (_, Some(GEODETIC)) if self.axis_elsewhere_m().or(self.shift().map(|_| 0.0)).is_some() => {
                 let datum = self.datum().unwrap_or_default();
                 Crs::parse(&format!("+proj=longlat {datum}")).map(Some).map_err(|reason| format!("GeoTIFF: {reason}"))
             }
@@ -246,6 +252,7 @@ impl GeoKeys {
         match (axis_m, self.double(2059), self.double(2058)) {
             (Some(axis_m), Some(flattening), _) => Some(format!("+a={axis_m} +rf={flattening}")),
             (Some(axis_m), None, Some(minor_m)) => Some(format!("+a={axis_m} +b={minor_m}")),
+            (Some(radius_m), None, None) if self.axis_elsewhere_m().is_some() => Some(format!("+R={radius_m}")),
             _ => match self.number(2056)? {
                 7030 => Some("+ellps=WGS84".to_owned()),
                 7019 => Some("+ellps=GRS80".to_owned()),

@@ -15,7 +15,7 @@ impl Crs {
             return Self::parse(code.split_whitespace().next().unwrap_or_default());
         }
         if text.starts_with('+') {
-            return Projection::new(text).map(Self::Projection);
+            return Projection::new(text).map(Self::of);
         }
         let code = text.strip_prefix("EPSG:").or_else(|| text.strip_prefix("epsg:")).unwrap_or(text);
         let code =

@@ -5,6 +5,8 @@ use std::f64::consts::{PI, TAU};
 use std::path::Path;
 use std::sync::Arc;
 
+use terrane::math::Ellipsoid;
+
 use super::beside::{Metadata, system_file, world_file};
 use super::crs::Crs;
 use super::geotiff::Tiff;
@@ -41,6 +43,11 @@ impl Placement {
         let within = |turn: f64| west + turn >= -PI - ROUNDING && east + turn <= PI + ROUNDING;
         let turn = [0.0, -TAU, TAU].into_iter().find(|turn| within(*turn));
         Self { turn: self.turn + turn.unwrap_or(0.0), ..self }
+    }
+
+    /// Returns [`Crs::ellipsoid`] of the reference system.
+    pub fn ellipsoid(&self) -> Option<Ellipsoid> {
+        self.crs.ellipsoid()
     }
 
     /// Adds a whole turn to the longitudes.

@@ -1,4 +1,4 @@
-//! Projections and datums of EPSG by PROJ's formulas (crate `proj4rs`), from definitions in PROJ's notation.
+//! Projections and datums of EPSG, and projections of other bodies, by PROJ's formulas (crate `proj4rs`), from definitions in PROJ's notation.
 //!
 //! Datum shifts by parameters (`+towgs84`) are applied; those by grids if the user names one ([`super::DatumGrid`]).
 
@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use proj4rs::Proj;
 use proj4rs::transform::transform;
+use terrane::math::{Ellipsoid, WGS84};
 
 /// Equatorial radii of the earth's ellipsoids, metres.
 pub(super) const EARTH_AXES_M: std::ops::Range<f64> = 6.3e6..6.5e6;
@@ -23,7 +24,9 @@ pub struct Projection {
 #[derive(Debug)]
 struct Systems {
     own: Proj,
-    wgs84: Proj,
+    /// Longitude and latitude on WGS84, or on the ellipsoid of another body.
+    geodetic: Proj,
+    ellipsoid: Ellipsoid,
 }
 
 impl PartialEq for Projection {
@@ -45,7 +48,12 @@ impl Projection {
         }
         let is_known =
             |part: &&str| !part.starts_with("+nadgrids=") || part.contains(OWN_GRID) || part.contains("@null");
-        let parts = definition.split_whitespace().filter(is_known);
+        // WKT and GeoTIFF write the inverse flattening of spheres as 0.
+        let is_sphere = |part: &&str| {
+            let number = part.strip_prefix("+rf=").and_then(|number| number.parse::<f64>().ok());
+            number.is_some_and(|number| number == 0.0 || number.is_infinite())
+        };
+        let parts = definition.split_whitespace().filter(is_known).filter(|part| !is_sphere(part));
         let has_grid = definition.contains(OWN_GRID);
         let parts = parts.map(|part| match part {
             "+datum=NAD27" if has_grid => "+ellps=clrk66",
@@ -58,12 +66,29 @@ impl Projection {
         if own.is_geocent() || !own.has_inverse() || !own.has_forward() {
             return Err(format!("`{definition}`: only geographic and projected systems with an inverse are supported"));
         }
-        let (axis_m, _) = own.ellipse_parameters();
-        if !EARTH_AXES_M.contains(&axis_m) {
-            return Err(format!("`{definition}`: an ellipsoid of {axis_m} m is not the earth's"));
-        }
-        let wgs84 = Proj::from_proj_string("+proj=longlat +datum=WGS84").map_err(bad)?;
-        Ok(Self { definition: definition.into(), systems: Arc::new(Systems { own, wgs84 }) })
+        let (axis_m, minor_m) = own.ellipse_parameters();
+        let (ellipsoid, geodetic) = match EARTH_AXES_M.contains(&axis_m) {
+            true => (WGS84, "+proj=longlat +datum=WGS84".to_owned()),
+            false => {
+                let ellipsoid = Ellipsoid::from_radii_m([axis_m, axis_m, minor_m]);
+                let ellipsoid = ellipsoid.map_err(|error| format!("`{definition}`: {error}"))?;
+                (ellipsoid, format!("+proj=longlat +a={axis_m} +b={minor_m}"))
+            }
+        };
+        let geodetic = Proj::from_proj_string(&geodetic).map_err(bad)?;
+        Ok(Self { definition: definition.into(), systems: Arc::new(Systems { own, geodetic, ellipsoid }) })
+    }
+
+    /// Returns the ellipsoid that longitudes and latitudes are on: WGS84, or that of another body.
+    pub(super) fn ellipsoid(&self) -> Ellipsoid {
+        self.systems.ellipsoid
+    }
+
+    /// Returns true if coordinates are longitude and latitude in degrees and nothing else is defined but an ellipsoid.
+    pub(super) fn is_plain_degrees(&self) -> bool {
+        const KEYS: [&str; 9] =
+            ["+proj=longlat", "+a=", "+b=", "+R=", "+rf=", "+f=", "+no_defs", "+type=crs", "+units="];
+        self.definition.split_whitespace().all(|part| KEYS.iter().any(|key| part.starts_with(key)))
     }
 
     /// Returns the same system with the shift of a grid to WGS84, which has a name for `proj4rs`. `None` if its datum is WGS84 or
@@ -97,9 +122,9 @@ impl Projection {
 
     /// Converts a longitude and latitude on WGS84 in radians to coordinates; NaN where the system has none.
     pub fn project(&self, longitude: f64, latitude: f64) -> [f64; 2] {
-        let Systems { own, wgs84 } = &*self.systems;
+        let Systems { own, geodetic, .. } = &*self.systems;
         let mut point = (longitude, latitude, 0.0);
-        match transform(wgs84, own, &mut point) {
+        match transform(geodetic, own, &mut point) {
             Ok(()) if own.is_latlong() => [point.0.to_degrees(), point.1.to_degrees()],
             Ok(()) => [point.0, point.1],
             Err(_) => [f64::NAN; 2],
@@ -108,9 +133,9 @@ impl Projection {
 
     /// Converts coordinates to a longitude and latitude on WGS84 in radians; NaN outside of the system.
     pub fn unproject(&self, x: f64, y: f64) -> [f64; 2] {
-        let Systems { own, wgs84 } = &*self.systems;
+        let Systems { own, geodetic, .. } = &*self.systems;
         let mut point = if own.is_latlong() { (x.to_radians(), y.to_radians(), 0.0) } else { (x, y, 0.0) };
-        match transform(own, wgs84, &mut point) {
+        match transform(own, geodetic, &mut point) {
             Ok(()) => [point.0, point.1],
             Err(_) => [f64::NAN; 2],
         }

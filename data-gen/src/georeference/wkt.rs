@@ -110,7 +110,7 @@ pub(super) fn crs(text: &str) -> Result<Crs, String> {
     if let Some(definition) = quoted_after(text, "EXTENSION[\"PROJ4\",") {
         return match definition.contains("+proj=merc +a=6378137 +b=6378137") {
             true => Ok(Crs::WebMercator),
-            false => Projection::new(definition).map(Crs::Projection),
+            false => Projection::new(definition).map(Crs::of),
         };
     }
     // Names of EPSG that the crate does not know yet.
@@ -124,7 +124,15 @@ pub(super) fn crs(text: &str) -> Result<Crs, String> {
         return Err("WKT: a projection from another meridian than Greenwich is not supported".to_owned());
     }
     let found = with_datum(&found, &text).unwrap_or(found);
-    Projection::new(&found).map(Crs::Projection)
+    let projection = Projection::new(&found)?;
+    // Those of Mars differ from geodetic ones by up to 20 km. The IAU's systems say it in their names.
+    let lower = text.to_lowercase();
+    let is_centric =
+        ["planetocentric", "cs[spherical", "ocentric\"", "/ ocentric"].iter().any(|part| lower.contains(part));
+    if is_centric && projection.ellipsoid().eccentricity_squared() > 0.0 {
+        return Err("WKT: planetocentric latitudes on an ellipsoid are not supported".to_owned());
+    }
+    Ok(Crs::of(projection))
 }
 
 /// Returns a definition with the datum of a WKT that has no parameters of its own, if the datum is known.

@@ -137,7 +137,7 @@ impl<'a> Builder<'a> {
         if below.is_empty() {
             return Err(self.without_data());
         }
-        let text = trunk_tileset(self.args, &totals, &below);
+        let text = trunk_tileset(self.args, &self.grid.ellipsoid, &totals, &below);
         let bytes = self.write_external(&totals, blocks.iter().flatten())?;
         totals.bytes += bytes + write_whole(&self.folder.join("tileset.json"), text.as_bytes())?;
         Ok(totals)

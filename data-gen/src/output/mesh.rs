@@ -4,7 +4,7 @@ use glam::{DAffine3, DMat3, DMat4, DVec3};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
 use terrane::formats::writers::{GlbMesh, GlbNormalMap, GlbRoughness, write_compressed_glb, write_glb};
-use terrane::math::{Geodetic, WGS84};
+use terrane::math::{Ellipsoid, Geodetic};
 
 use super::encoding::Triangles;
 use super::options::Tiling;
@@ -27,6 +27,7 @@ pub(crate) struct MeshTile<'a> {
     pub heights_m: Vec<f32>,
     /// `None` if all triangles have data.
     pub has_data: Option<HasData<'a>>,
+    pub ellipsoid: Ellipsoid,
 }
 
 /// The form of mesh files.
@@ -72,13 +73,17 @@ fn origin_m(block: &Block<'_>, key: TileKey) -> f64 {
 }
 
 /// Returns the transform to ECEF from the east-north-up frame in the middle of a rectangle, at a height.
-fn ecef_from_middle(e: &Extent, height_m: f64) -> DAffine3 {
-    WGS84.ecef_from_enu(&Geodetic { longitude: 0.5 * (e.west + e.east), latitude: 0.5 * (e.south + e.north), height_m })
+fn ecef_from_middle(ellipsoid: &Ellipsoid, e: &Extent, height_m: f64) -> DAffine3 {
+    ellipsoid.ecef_from_enu(&Geodetic {
+        longitude: 0.5 * (e.west + e.east),
+        latitude: 0.5 * (e.south + e.north),
+        height_m,
+    })
 }
 
 /// Returns the transform from the frame of the mesh of a block's tile to ECEF.
 pub(super) fn ecef_from_tile(block: &Block<'_>, key: TileKey) -> DAffine3 {
-    ecef_from_middle(&block.extent(key), origin_m(block, key))
+    ecef_from_middle(&block.ellipsoid(), &block.extent(key), origin_m(block, key))
 }
 
 impl<'a> MeshTile<'a> {
@@ -102,6 +107,7 @@ impl<'a> MeshTile<'a> {
             extent: block.extent(key),
             origin_m: origin_m(block, key),
             heights_m,
+            ellipsoid: block.ellipsoid(),
             has_data: if block.is_whole() { None } else { Some(Box::new(has_data)) },
         }
     }
@@ -128,7 +134,7 @@ impl<'a> MeshTile<'a> {
     /// Returns the height in metres by which the earth falls within a cell at a row, eastwards and northwards.
     fn curvature_m(&self, row: i64) -> [f64; 2] {
         let cells = (CELLS as i64) << self.key.level;
-        curvature_m(&self.set, cells, i64::from(self.key.y) * CELLS as i64 + row)
+        curvature_m(&self.ellipsoid, &self.set, cells, i64::from(self.key.y) * CELLS as i64 + row)
     }
 
     /// Returns the largest vertical distance between the edges of the tile and those that tiles one or two levels coarser have there, in
@@ -169,19 +175,19 @@ impl<'a> MeshTile<'a> {
     fn file_from_mesh(&self) -> DMat4 {
         // glTF's y axis points up; a quarter turn about x maps it to z.
         let z_up_from_y_up = DAffine3::from_mat3(DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y));
-        let ecef_from_mesh = ecef_from_middle(&self.extent, self.origin_m);
+        let ecef_from_mesh = ecef_from_middle(&self.ellipsoid, &self.extent, self.origin_m);
         DMat4::from(z_up_from_y_up.inverse() * ecef_from_mesh * z_up_from_y_up)
     }
 }
 
 /// Returns the height in metres by which the earth falls below its tangent plane within one cell eastwards and one northwards at
 /// a row of a set with `cells` cells along a side. Tiles that share the row get the same bits.
-pub(crate) fn curvature_m(set: &Extent, cells: i64, row: i64) -> [f64; 2] {
+pub(crate) fn curvature_m(ellipsoid: &Ellipsoid, set: &Extent, cells: i64, row: i64) -> [f64; 2] {
     let latitude = set.south + (set.north - set.south) * (row as f64 / cells as f64);
     let [d_lon, d_lat] = [set.east - set.west, set.north - set.south].map(|side| side / cells as f64);
-    let radius_m = WGS84.prime_vertical_radius_m(latitude);
-    let flatter = 1.0 - WGS84.eccentricity_squared() * latitude.sin().powi(2);
-    let meridian_m = radius_m * (1.0 - WGS84.eccentricity_squared()) / flatter;
+    let radius_m = ellipsoid.prime_vertical_radius_m(latitude);
+    let flatter = 1.0 - ellipsoid.eccentricity_squared() * latitude.sin().powi(2);
+    let meridian_m = radius_m * (1.0 - ellipsoid.eccentricity_squared()) / flatter;
     [0.5 * radius_m * (latitude.cos() * d_lon).powi(2), 0.5 * meridian_m * d_lat.powi(2)]
 }
 
@@ -208,12 +214,12 @@ impl Lattice {
         let (longitudes, latitudes) = (angles(e.west, e.east), angles(e.south, e.north));
         let of = |angle: f64| <[f64; 2]>::from(angle.sin_cos());
         let (columns, rows) = (longitudes.map(of), latitudes.map(of));
-        let tile_from_ecef = ecef_from_middle(&e, tile.origin_m).inverse();
+        let tile_from_ecef = ecef_from_middle(&tile.ellipsoid, &e, tile.origin_m).inverse();
         let (axes, centre) = (tile_from_ecef.matrix3, tile_from_ecef.translation);
         let mut places = Vec::with_capacity(SIDE * SIDE);
         for (j, ([sin_lat, cos_lat], latitude)) in (-1..).zip(rows.into_iter().zip(latitudes)) {
-            let radius_m = WGS84.prime_vertical_radius_m(latitude);
-            let polar_m = radius_m * (1.0 - WGS84.eccentricity_squared());
+            let radius_m = tile.ellipsoid.prime_vertical_radius_m(latitude);
+            let polar_m = radius_m * (1.0 - tile.ellipsoid.eccentricity_squared());
             places.extend(columns.iter().zip(tile.row_m(j)).map(|([sin_lon, cos_lon], height_m)| {
                 let height_m = f64::from(*height_m);
                 let r = (radius_m + height_m) * cos_lat;

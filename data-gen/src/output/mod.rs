@@ -33,4 +33,4 @@ pub(crate) use set_files::write_whole;
 pub(crate) use set_files::{MANIFEST, each_folder};
 pub(crate) use terrain::{METADATA_LEVELS, TerrainSet, Written, spread};
 pub(crate) use tile_set::compress;
-pub(crate) use tree::{half_step_m, level_errors_m, sagitta_m, voids};
+pub(crate) use tree::{half_step_m, level_errors_m, sagitta_m, undrawn_error_m, voids};

@@ -1,9 +1,10 @@
 //! The options of the form in which a set is written.
 
 use terrane::fetch::{is_store, shown};
+use terrane::math::{Ellipsoid, WGS84};
 
 use crate::store::is_remote;
-use crate::{Color, ContentKind, GenArgs, TextureFormat};
+use crate::{BodyArg, Color, ContentKind, GenArgs, TextureFormat, VerticalDatum};
 
 /// The description of the tile tree.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -44,6 +45,9 @@ pub struct OutputArgs {
     /// Write which tiles exist into tiles of quantized-mesh, each tenth level, instead of into layer.json
     #[arg(long)]
     pub tile_availability: bool,
+    /// Body of worlds, and of elevation whose files do not name one: moon, mars, or radii in metres as EQUATORxPOLE or XxYxZ
+    #[arg(long, value_name = "BODY")]
+    pub body: Option<BodyArg>,
     /// Description of the tile tree
     #[arg(long, value_enum, default_value_t)]
     pub tiling: Tiling,
@@ -67,12 +71,27 @@ impl OutputArgs {
         if self.is_packed() { "heights" } else { "exr" }
     }
 
+    /// Returns the ellipsoid of the body that the options name, or that of the earth.
+    pub(crate) fn ellipsoid(&self) -> Ellipsoid {
+        self.body.map_or(WGS84, |body| body.0)
+    }
+
     /// Checks options that have no effect together with others.
     pub(crate) fn check(&self, args: &GenArgs) -> Result<(), String> {
         if is_remote(&args.out) {
             Self::check_bucket(args)?;
         }
         let is_terrain = args.content == ContentKind::QuantizedMesh;
+        let is_elsewhere = self.ellipsoid() != WGS84;
+        if is_elsewhere && is_terrain {
+            return Err("--body is not supported with --content quantized-mesh: layer.json names no body".to_owned());
+        }
+        if is_elsewhere && args.world.world.is_none() && args.dem.is_empty() {
+            return Err("--body has no effect without --world or --dem".to_owned());
+        }
+        if is_elsewhere && (args.vertical_datum != VerticalDatum::Ellipsoid || args.datum_grid.is_some()) {
+            return Err("--body: --vertical-datum and --datum-grid are about the earth".to_owned());
+        }
         if self.attribution.is_some() && !is_terrain {
             return Err("--attribution has no effect without --content quantized-mesh".to_owned());
         }

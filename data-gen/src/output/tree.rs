@@ -7,6 +7,7 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use glam::{DAffine3, DMat4};
 use rayon::prelude::*;
 use serde_json::{Value, json};
+use terrane::math::{Ellipsoid, WGS84};
 
 use super::implicit::{Entry, SUBTREE_LEVELS, SUBTREES, tile_class};
 use super::mesh;
@@ -14,6 +15,7 @@ use super::options::Tiling;
 use super::tile_set::{form, skirt_m};
 use crate::Extent;
 use crate::args::{Color, ContentKind, GenArgs, Voids};
+use crate::body;
 use crate::georeference::ROUNDING;
 use crate::pyramid::{Below, Block, CELLS, Coverage, QUANTUM_M, Record, TileKey, Totals};
 
@@ -66,7 +68,10 @@ impl<'a> Tree<'a> {
     fn own_region(&self, key: TileKey) -> [f64; 6] {
         let e = self.block.extent(key);
         let f = self.block.facts(key);
-        let low_m = f64::from(f.min_height_m) - self.skirt_m(key) - sagitta_m(&e) - self.distance_m(key);
+        let low_m = f64::from(f.min_height_m)
+            - self.skirt_m(key)
+            - sagitta_m(&self.block.ellipsoid(), &e)
+            - self.distance_m(key);
         let high_m = f64::from(f.max_height_m);
         let slack_m = 0.1 + self.half_step_m(key);
         // A region across the date line has its west edge east of its east edge in 3D Tiles.
@@ -82,7 +87,11 @@ impl<'a> Tree<'a> {
     /// Returns the largest rounding of quantized vertices in metres. It is added to the volume and to the error.
     fn half_step_m(&self, key: TileKey) -> f64 {
         let f = self.block.facts(key);
-        half_step_m(&self.block.extent(key), f64::from(f.max_height_m - f.min_height_m) + self.skirt_m(key))
+        half_step_m(
+            &self.block.ellipsoid(),
+            &self.block.extent(key),
+            f64::from(f.max_height_m - f.min_height_m) + self.skirt_m(key),
+        )
     }
 
     fn skirt_m(&self, key: TileKey) -> f64 {
@@ -163,15 +172,16 @@ impl<'a> Tree<'a> {
         let args = self.args;
         let is_implicit = args.output.tiling == Tiling::Implicit;
         let facts = self.block.facts(TileKey::ROOT);
-        let diagonal_m = 2.0 * (facts.error_m + f64::from(facts.max_height_m - facts.min_height_m)) + 1.0;
+        let undrawn_m = undrawn_error_m(&self.block.ellipsoid(), &self.block.extent(TileKey::ROOT));
         let tree = if is_implicit { self.implicit_root() } else { self.tile(TileKey::ROOT, DAffine3::IDENTITY, "") };
         let root_error_m = tree["geometricError"].as_f64().unwrap_or(facts.error_m);
-        let mut tileset = json!({ "asset": asset(args, totals, 0), "geometricError": diagonal_m.max(2.0 * root_error_m), "root": tree });
-        (tileset["schema"], tileset["metadata"]) = (schema(), metadata(args, totals));
+        let mut tileset = json!({ "asset": asset(args, totals, 0), "geometricError": undrawn_m.max(2.0 * root_error_m), "root": tree });
+        (tileset["schema"], tileset["metadata"]) = (schema(), metadata(args, &self.block.ellipsoid(), totals));
         if is_implicit {
             tileset["schema"]["classes"]["tile"] = tile_class();
         }
         tileset["root"]["refine"] = "REPLACE".into();
+        body::declare(&self.block.ellipsoid(), &mut tileset);
         tileset.to_string()
     }
 
@@ -229,22 +239,28 @@ pub(crate) fn external_tileset(args: &GenArgs, totals: &Totals, root: TileKey, r
 }
 
 /// Returns how far meshes lie below the ellipsoid between their vertices, at most: the height of the arc above its chord.
-pub(crate) fn sagitta_m(e: &Extent) -> f64 {
+pub(crate) fn sagitta_m(ellipsoid: &Ellipsoid, e: &Extent) -> f64 {
     let cell = (e.east - e.west).max(e.north - e.south) / CELLS as f64;
-    6_378_137.0 * cell * cell / 4.0
+    ellipsoid.semi_major_m * cell * cell / 4.0
+}
+
+/// Returns the error in metres of a client that draws nothing of a set: the length of its longer side, at most two radii. CesiumJS draws
+/// the root of a set only where this error is seen.
+pub(crate) fn undrawn_error_m(ellipsoid: &Ellipsoid, e: &Extent) -> f64 {
+    ellipsoid.semi_major_m * (e.east - e.west).max(e.north - e.south).min(2.0)
 }
 
 /// Returns the largest rounding of the quantized vertices of a mesh in metres. `high_m` is the difference of its heights.
-pub(crate) fn half_step_m(e: &Extent, high_m: f64) -> f64 {
+pub(crate) fn half_step_m(ellipsoid: &Ellipsoid, e: &Extent, high_m: f64) -> f64 {
     let side = (e.east - e.west).max(e.north - e.south);
-    (6_378_137.0 * side + high_m + sagitta_m(e)) / 131_070.0
+    (ellipsoid.semi_major_m * side + high_m + sagitta_m(ellipsoid, e)) / 131_070.0
 }
 
 /// The error of a tile without content in metres: it is refined at any distance.
 const EMPTY_ERROR_M: f64 = 1e8;
 
 /// Returns the tileset of a set whose coarsest tiles are the roots of external tilesets.
-pub(crate) fn trunk_tileset(args: &GenArgs, totals: &Totals, below: &[Below]) -> String {
+pub(crate) fn trunk_tileset(args: &GenArgs, ellipsoid: &Ellipsoid, totals: &Totals, below: &[Below]) -> String {
     let child = |below: &Below| {
         json!({
             "boundingVolume": { "region": below.region },
@@ -266,26 +282,29 @@ pub(crate) fn trunk_tileset(args: &GenArgs, totals: &Totals, below: &[Below]) ->
         (region[0], region[2]) = (-PI, PI);
     }
     let children: Vec<Value> = below.iter().map(child).collect();
-    json!({
+    let mut tileset = json!({
         "asset": { "version": "1.1", "generator": "terrane" },
         "geometricError": error_m,
-        "schema": schema(), "metadata": metadata(args, totals),
+        "schema": schema(), "metadata": metadata(args, ellipsoid, totals),
         "root": {
             "boundingVolume": { "region": region }, "geometricError": error_m, "refine": "REPLACE", "children": children,
         },
-    })
-    .to_string()
+    });
+    body::declare(ellipsoid, &mut tileset);
+    tileset.to_string()
 }
 
 /// Returns the metadata of a set, which `terrane info` prints.
-fn metadata(args: &GenArgs, totals: &Totals) -> Value {
+fn metadata(args: &GenArgs, ellipsoid: &Ellipsoid, totals: &Totals) -> Value {
     let [min_height_m, max_height_m] = totals.range_m.map(f64::from);
     let [cut_samples, filled_samples] = voids(args, totals);
+    let is_earth = *ellipsoid == WGS84;
+    let datum = if is_earth { args.vertical_datum.to_string() } else { "ellipsoid of the body".to_owned() };
     let properties = json!({
         "minimumHeight": min_height_m, "maximumHeight": max_height_m,
         "finestError": totals.level_errors_m.last(),
         "samplesLeftOut": cut_samples, "samplesFilled": filled_samples,
-        "sourceVerticalDatum": args.vertical_datum.to_string(),
+        "sourceVerticalDatum": datum,
     });
     json!({ "class": "terrain", "properties": properties })
 }

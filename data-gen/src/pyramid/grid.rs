@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use rayon::prelude::*;
 use terrane::math::random::fnv1a;
+use terrane::math::{Ellipsoid, WGS84};
 
 use super::extrema::{Extrema, Extremum, parts};
 use super::fill::{self, BOX, BoxMeans};
@@ -45,6 +46,8 @@ type BoxKey = (u32, i64, i64);
 pub(crate) struct Grid<'a> {
     source: &'a dyn ElevationSource,
     pub extent: Extent,
+    /// The ellipsoid that longitudes and latitudes are on.
+    pub ellipsoid: Ellipsoid,
     pub levels: u32,
     pub voids: Voids,
     /// Gives the vertices nearest to the source's highest and lowest samples their heights. The distance between vertices must
@@ -66,8 +69,25 @@ impl<'a> Grid<'a> {
     pub fn new(source: &'a dyn ElevationSource, extent: Extent, levels: u32, voids: Voids, keep_extrema: bool) -> Self {
         let (coarse, coarse_filled) = (OnceLock::new(), OnceLock::new());
         let boxes = Mutex::default();
-        let (is_aligned, step_m) = (false, QUANTUM_M);
-        Self { source, extent, levels, voids, keep_extrema, is_aligned, step_m, coarse, coarse_filled, boxes }
+        let (is_aligned, step_m, ellipsoid) = (false, QUANTUM_M, WGS84);
+        Self {
+            source,
+            extent,
+            ellipsoid,
+            levels,
+            voids,
+            keep_extrema,
+            is_aligned,
+            step_m,
+            coarse,
+            coarse_filled,
+            boxes,
+        }
+    }
+
+    /// Places the grid on another ellipsoid than the earth's.
+    pub fn on(self, ellipsoid: Ellipsoid) -> Self {
+        Self { ellipsoid, ..self }
     }
 
     /// Rounds heights to steps of another size than [`QUANTUM_M`].

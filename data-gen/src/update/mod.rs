@@ -15,6 +15,7 @@ use std::f64::consts::TAU;
 use std::path::Path;
 
 use rayon::prelude::*;
+use terrane::math::WGS84;
 
 pub(crate) use self::manifest::Manifest;
 use self::manifest::changes;
@@ -164,7 +165,9 @@ impl Update<'_> {
         let reach = reach + 2;
         let first = [key.x, key.y].map(|c| i64::from(c) * side);
         let near = grid.extent_of(&Window { first: first.map(|c| c - reach), last: first.map(|c| c + side + reach) });
-        is_near_any(&self.changes, &near, elevation_margin(self.args, self.pixel, &near))
+        // On a small body the band is a wide angle.
+        let blend_m = self.args.blend * (WGS84.semi_major_m / self.opened.grid.ellipsoid.semi_major_m);
+        is_near_any(&self.changes, &near, elevation_margin(blend_m, self.pixel, &near))
     }
 
     /// Returns true if changed imagery lies in a tile, or within two of its texels.
@@ -239,9 +242,9 @@ fn is_near_any(sources: &[[f64; 4]], near: &Extent, margin: [f64; 2]) -> bool {
 }
 
 /// Returns how far beyond its rectangle a source of elevation changes heights, in radians: between pixels, and where its neighbours
-/// blend into what lies below.
-fn elevation_margin(args: &GenArgs, pixel: [f64; 2], near: &Extent) -> [f64; 2] {
-    let band = args.blend / MIN_RADIUS_M;
+/// blend into what lies below, in a band with a width in metres on the earth.
+fn elevation_margin(blend_m: f64, pixel: [f64; 2], near: &Extent) -> [f64; 2] {
+    let band = blend_m / MIN_RADIUS_M;
     let wide = near.south.abs().max(near.north.abs()).cos().max(0.01);
     [3.0 * pixel[0] + band / wide, 3.0 * pixel[1] + band]
 }

@@ -106,7 +106,7 @@ impl<'a> TerrainUpdate<'a> {
             return Ok(None);
         }
         let Some(near) = near(tile.inputs) else { return Ok(None) };
-        if is_near_any(&self.changes, &near, elevation_margin(self.args, self.pixel, &near)) {
+        if is_near_any(&self.changes, &near, elevation_margin(self.args.blend, self.pixel, &near)) {
             return Ok(None);
         }
         let name = name_of(key);

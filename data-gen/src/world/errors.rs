@@ -1,4 +1,5 @@
-//! The errors of the levels of a set, measured.
+//! The errors of the levels of a set, estimated from places that are measured. A run measures all its tiles against the finest ones
+//! instead, and takes the estimate of the finest level only; servers, which do not know all tiles, declare the estimates.
 //!
 //! The difference between the triangles of a level and the surface itself is measured along rows of cells: in those rows of the most
 //! uneven tiles whose samples bend most, and then in the rows beside the worst one, as long as they are worse. A level's error is the largest
@@ -11,7 +12,7 @@ use rayon::prelude::*;
 use terrane::math::random::SplitMix64;
 
 use super::planet::RowBuffers;
-use super::points::{RADIUS_M, meridians};
+use super::points::meridians;
 use super::surface::TEXELS_PER_CELL;
 use super::tiles::WorldSet;
 use crate::TileKey;
@@ -38,7 +39,7 @@ const RELIEF_MARGIN: f64 = 1.25;
 /// The largest texels that errors are at least as large as, so that flat ground near the eye is sharp.
 const MAX_SHARP_M: f64 = 5.0;
 /// The least ratio between the errors of two levels. Ranges in which levels morph may overlap: the shader follows six levels.
-const RATIO: f64 = 1.05;
+pub(super) const RATIO: f64 = 1.05;
 
 /// The measurement of a level: the largest difference from the surface, and the lowest and the highest surface.
 struct Measure {
@@ -60,14 +61,18 @@ fn level_errors_m(set: &WorldSet) -> Vec<f64> {
         let e = set.extent(root);
         let cell = [e.east - e.west, e.north - e.south].map(|side| side / CELLS as f64);
         // The height of arcs above their chords, along both sides of a cell.
-        let bulge_m: f64 = cell.iter().map(|side| RADIUS_M * side * side / 8.0).sum();
+        let bulge_m: f64 = cell.iter().map(|side| set.world().radius_m() * side * side / 8.0).sum();
         let below_m = if set.world().has_rivers(set.lattice(root, 0).step_m()) { 0.0 } else { valley_m };
         let measured_m = (MARGIN * measures[level].error_m).min(relief_m) + below_m;
-        let texel_m = set.lattice(root, 0).step_m() / TEXELS_PER_CELL as f64;
-        let sharp_m = if texel_m < MAX_SHARP_M { texel_m } else { 0.0 };
-        errors[level] = (measured_m + bulge_m).max(sharp_m).max(RATIO * next_m).max(QUANTUM_M);
+        errors[level] = (measured_m + bulge_m).max(least_error_m(set, level as u32)).max(RATIO * next_m);
     }
     errors
+}
+
+/// Returns the least error of a level in metres: with a smaller one its images would be replaced too late.
+pub(super) fn least_error_m(set: &WorldSet, level: u32) -> f64 {
+    let texel_m = set.lattice(TileKey { level, x: 0, y: 0 }, 0).step_m() / TEXELS_PER_CELL as f64;
+    if texel_m < MAX_SHARP_M { texel_m.max(QUANTUM_M) } else { QUANTUM_M }
 }
 
 const NO_RANGE: [f32; 2] = [f32::INFINITY, f32::NEG_INFINITY];

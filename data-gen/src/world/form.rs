@@ -45,6 +45,7 @@ impl WorldSet {
             origin_m: 0.5 * (low_m + high_m),
             heights_m,
             has_data: None,
+            ellipsoid: self.world().ellipsoid,
         };
         let most_m = self.tin_limit_m(key.level);
         let mut tin = tile.triangles(form.triangles, &SAMPLE_SHARES.map(|share| share * most_m), most_m);
@@ -98,7 +99,7 @@ impl WorldSet {
         }
     }
 
-    /// Returns the description of a mesh by bounds of its heights in metres, by the error of its grid, and by its measures.
+    /// Returns the description of a tile by bounds of its heights in metres, by the error of its grid, and by the measures of a mesh.
     pub(super) fn described(
         &self,
         key: TileKey,
@@ -107,12 +108,13 @@ impl WorldSet {
         MeshMeasures { distance_m, skirt_m }: MeshMeasures,
     ) -> Described {
         let extent = self.extent(key);
-        let half_step_m = half_step_m(&extent, high_m - low_m + skirt_m);
+        let ellipsoid = &self.world().ellipsoid;
+        let half_step_m = half_step_m(ellipsoid, &extent, high_m - low_m + skirt_m);
         let is_quantized = self.form.mesh.is_some_and(|form| form.is_quantized);
         let slack_m = 0.1 + half_step_m;
         Described {
             geometric_error_m: error_m + distance_m + if is_quantized { half_step_m } else { 0.0 },
-            heights_m: [low_m - skirt_m - sagitta_m(&extent) - distance_m - slack_m, high_m + slack_m],
+            heights_m: [low_m - skirt_m - sagitta_m(ellipsoid, &extent) - distance_m - slack_m, high_m + slack_m],
         }
     }
 

@@ -31,4 +31,4 @@ pub use planet::World;
 pub use preset::WorldPreset;
 pub(crate) use source::WorldSource;
 pub use tiles::{TileStep, WorldSet, WorldTile};
-pub(crate) use write::{check_world, world_set, write_world};
+pub(crate) use write::{check_world, shard_roots, tiles_below, world_set, write_world};

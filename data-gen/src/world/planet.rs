@@ -1,10 +1,14 @@
 //! A world: rows of heights and of all properties of the ground, from a preset and a seed.
 
-use super::points::{Meridian, Points, RADIUS_M, meridians};
-use super::preset::{Parameters, WorldPreset};
-use super::relief::{Basin, Drainage, Ground, Network, Scratch};
-use super::surface::{Lattice, MARGIN, WINDWARD, Weather};
+use terrane::math::{Ellipsoid, WGS84};
 
+use super::points::{Meridian, Points, RADIUS_M, meridians, sin_cos};
+use super::preset::{Flow, Parameters, WorldPreset};
+use super::relief::{Basin, Drainage, Ground, Network, Scratch};
+use super::surface::{FROZEN_C, Lattice, MARGIN, WINDWARD_M, Weather};
+
+/// The equatorial radii of bodies with worlds in metres.
+const RADII_M: std::ops::RangeInclusive<f64> = 1e4..=2e7;
 /// The distance between samples, in distances of rivers, from which on there are no rivers.
 const MAX_STEP: f64 = 0.5;
 
@@ -13,6 +17,8 @@ const MAX_STEP: f64 = 0.5;
 pub struct World {
     pub(super) seed: u64,
     pub(super) parameters: Parameters,
+    /// The ellipsoid that tiles lie on.
+    pub(super) ellipsoid: Ellipsoid,
     drainage: Drainage,
 }
 
@@ -26,11 +32,32 @@ pub(super) struct RowBuffers {
 }
 
 impl World {
-    /// Creates a world.
+    /// Creates a world of the size of the earth.
     pub fn new(preset: WorldPreset, seed: u64) -> Self {
+        Self::on(preset, seed, WGS84)
+    }
+
+    /// Creates a world on a body. Mountains, rivers and craters are as large as on the earth.
+    pub fn on(preset: WorldPreset, seed: u64, ellipsoid: Ellipsoid) -> Self {
         let parameters = preset.parameters();
-        let drainage = Drainage::new(parameters.relief.rivers.spacing_m.max(1_000.0));
-        Self { seed, parameters, drainage }
+        let drainage = Drainage::new(parameters.relief.rivers.spacing_m.max(1_000.0), radius_of(&ellipsoid));
+        Self { seed, parameters, ellipsoid, drainage }
+    }
+
+    /// Returns true for bodies that worlds may be on: noise has so many waves around larger ones that numbers overflow.
+    pub fn can_lie_on(ellipsoid: &Ellipsoid) -> bool {
+        RADII_M.contains(&ellipsoid.semi_major_m)
+    }
+
+    /// Returns the radius in metres of the sphere that the noise is sampled on.
+    pub(super) fn radius_m(&self) -> f64 {
+        radius_of(&self.ellipsoid)
+    }
+
+    /// Returns the meridians of longitudes some way against the wind.
+    pub(super) fn windward(&self, longitudes: impl Iterator<Item = f64>) -> Vec<Meridian> {
+        let step = WINDWARD_M / self.radius_m();
+        meridians(longitudes.map(|longitude| longitude + step))
     }
 
     /// Returns the longitude and latitude in radians of a place with much relief around the preset's place, for a square
@@ -38,12 +65,12 @@ impl World {
     pub fn place(&self, size_m: f64) -> [f64; 2] {
         let [longitude, latitude] = self.parameters.place.map(f64::to_radians);
         let mut row = RowBuffers::default();
-        let step = (0.7 * size_m / RADIUS_M).max(0.004);
+        let step = (0.7 * size_m / self.radius_m()).max(0.004);
         let places = (-6..=6).flat_map(|j| (-8..=8).map(move |i| (i, j)));
         let mut best = (f32::MIN, [longitude, latitude]);
         for (i, j) in places {
             let here = [longitude + step * f64::from(i), latitude + step * f64::from(j)];
-            let side = size_m / RADIUS_M;
+            let side = size_m / self.radius_m();
             let longitudes = meridians((-4..=4).map(|k| here[0] + side * f64::from(k) / 8.0));
             let (mut uneven, mut land) = (0.0f32, 0.0f32);
             for k in [-2, 0, 2] {
@@ -67,9 +94,24 @@ impl World {
 
     /// Computes the ground of a row.
     pub(super) fn ground_row(&self, meridians: &[Meridian], latitude: f64, row: &mut RowBuffers) {
-        row.points.set_row(meridians, latitude);
+        self.set_points(meridians, latitude, row);
         let relief = &self.parameters.relief;
         relief.row(self.basin(), &row.points, &mut row.network, &mut row.scratch, &mut row.ground);
+    }
+
+    fn set_points(&self, meridians: &[Meridian], latitude: f64, row: &mut RowBuffers) {
+        row.points.radius_m = self.radius_m();
+        row.points.set_row(meridians, latitude);
+    }
+
+    /// Returns true if there is open water anywhere.
+    pub(super) fn has_water(&self) -> bool {
+        self.parameters.climate.has_life && self.parameters.relief.rivers.flow != Flow::Dry
+    }
+
+    /// Returns true if the sea at a latitude is ice in most places.
+    pub(super) fn is_sea_frozen(&self, latitude: f64) -> bool {
+        self.parameters.climate.mean_c(sin_cos(latitude).0.abs() as f32) < FROZEN_C
     }
 
     /// Returns true if samples that are some metres apart show rivers and lakes.
@@ -83,7 +125,7 @@ impl World {
         if self.has_rivers(step_m) {
             return self.ground_row(meridians, latitude, row);
         }
-        row.points.set_row(meridians, latitude);
+        self.set_points(meridians, latitude, row);
         self.parameters.relief.dry_row(self.seed, &row.points, &mut row.scratch, &mut row.ground);
     }
 
@@ -99,7 +141,7 @@ impl World {
         let every = |step: i64| (first..last).step_by(step as usize).chain(std::iter::once(last));
         let is_land = |latitude: f64, row: &mut RowBuffers| {
             let longitudes = meridians(every(8).map(|column| lattice.longitude(column)));
-            row.points.set_row(&longitudes, latitude);
+            self.set_points(&longitudes, latitude, row);
             relief.has_land(self.seed, &row.points, &mut row.scratch, &mut row.ground)
         };
         if relief.has_sea && !every(8).any(|j| is_land(lattice.latitude(j), row)) {
@@ -125,13 +167,13 @@ impl World {
         row: &mut RowBuffers,
         out: &mut Weather,
     ) {
-        row.points.set_row(windward, latitude);
+        self.set_points(windward, latitude, row);
         self.parameters.relief.mountain_row(self.seed, &row.points, &mut row.scratch, &mut row.ground);
         self.parameters.climate.row(self.seed, points, ground, &row.ground, out);
     }
 }
 
-/// Returns the meridians of longitudes some way against the wind.
-pub(super) fn windward(longitudes: impl Iterator<Item = f64>) -> Vec<Meridian> {
-    meridians(longitudes.map(|longitude| longitude + WINDWARD))
+/// Returns the radius of the sphere of a body in metres.
+fn radius_of(ellipsoid: &Ellipsoid) -> f64 {
+    RADIUS_M * (ellipsoid.semi_major_m / WGS84.semi_major_m)
 }

@@ -4,7 +4,8 @@
 
 use std::f64::consts::{FRAC_2_PI, PI};
 
-/// The radius of the sphere that the noise is sampled on, in metres. Noise does not need an ellipsoid.
+/// The radius of the sphere that the noise of the earth is sampled on, in metres. Noise does not need an ellipsoid. Spheres of other
+/// bodies have the ratio of their equatorial radii.
 pub(super) const RADIUS_M: f64 = 6_371_000.0;
 
 /// Adding and subtracting this number rounds a number below 2^31 to a whole one, whose low bits are those of the sum.
@@ -60,8 +61,10 @@ pub(super) fn unit_vector(longitude: f64, latitude: f64) -> [f64; 3] {
 }
 
 /// Points on the unit sphere. Those of a row of a patch have one latitude.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(crate) struct Points {
+    /// The radius of the body in metres.
+    pub radius_m: f64,
     pub x: Vec<f64>,
     pub y: Vec<f64>,
     pub z: Vec<f64>,
@@ -72,7 +75,19 @@ pub(crate) struct Points {
     pub sin_latitude: f64,
 }
 
+impl Default for Points {
+    fn default() -> Self {
+        Self::on(RADIUS_M)
+    }
+}
+
 impl Points {
+    /// Creates no points, on a body with a radius in metres.
+    pub fn on(radius_m: f64) -> Self {
+        let [x, y, z, longitudes] = Default::default();
+        Self { radius_m, x, y, z, longitudes, latitude: 0.0, sin_latitude: 0.0 }
+    }
+
     /// Computes the points of a row.
     pub fn set_row(&mut self, meridians: &[Meridian], latitude: f64) {
         let (sin, cos) = sin_cos(latitude);

@@ -1,6 +1,6 @@
 //! A world as a source of elevation: its heights at any longitude and latitude, for tiles that do not lie on the lattice of a set.
 
-use super::points::{RADIUS_M, meridians};
+use super::points::meridians;
 use super::tiles::WorldSet;
 use crate::{ElevationSource, Extent, GenError, TileKey};
 
@@ -46,10 +46,41 @@ impl ElevationSource for WorldSource {
         Ok(())
     }
 
+    /// Beyond the rectangle of the set lies the sea, if the world has one.
+    fn water_depths_m(&self, longitudes: &[f64], latitudes: &[f64], out: &mut [f32]) -> Result<bool, GenError> {
+        let (world, extent) = (self.set.world(), self.extent());
+        if !world.has_water() {
+            return Ok(false);
+        }
+        let step_m = match latitudes {
+            [first, .., last] => (last - first) / (latitudes.len() - 1) as f64 * world.radius_m(),
+            _ => 0.0,
+        };
+        let outside_m = if world.parameters.relief.has_sea { 1.0 } else { -1.0 };
+        let is_in_columns = |longitude: f64| (extent.west..=extent.east).contains(&longitude);
+        let meridians = meridians(longitudes.iter().copied());
+        self.set.with_buffers(|buffers| {
+            for (latitude, row) in latitudes.iter().zip(out.chunks_exact_mut(longitudes.len().max(1))) {
+                row.fill(outside_m);
+                if !(extent.south..=extent.north).contains(latitude) || !longitudes.iter().any(|l| is_in_columns(*l)) {
+                    continue;
+                }
+                world.ground_row_of(&meridians, *latitude, step_m, buffers);
+                let is_frozen = world.is_sea_frozen(*latitude);
+                for ((depth_m, longitude), own_m) in row.iter_mut().zip(longitudes).zip(&buffers.ground.depth_m) {
+                    if is_in_columns(*longitude) {
+                        *depth_m = if is_frozen { -1.0 } else { *own_m };
+                    }
+                }
+            }
+        });
+        Ok(true)
+    }
+
     /// Rows that are far apart have no rivers and lakes, unlike those of [`Self::heights_of_row`].
     fn heights_of_grid(&self, longitudes: &[f64], latitudes: &[f64], out: &mut [f32]) -> Result<bool, GenError> {
         let ([first, .., last], [_, _, ..]) = (latitudes, longitudes) else { return Ok(false) };
-        let step_m = (last - first) / (latitudes.len() - 1) as f64 * RADIUS_M;
+        let step_m = (last - first) / (latitudes.len() - 1) as f64 * self.set.world().radius_m();
         let meridians = meridians(longitudes.iter().copied());
         self.set.with_buffers(|buffers| {
             for (latitude, row) in latitudes.iter().zip(out.chunks_exact_mut(longitudes.len())) {

@@ -6,7 +6,7 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 use terrane::formats::writers::{write_height_exr, write_packed_heights};
 
 use super::planet::{RowBuffers, World};
-use super::points::{RADIUS_M, meridians, sin_cos};
+use super::points::{meridians, sin_cos};
 use super::scatter::{MAX_CELL_M, Scatter, TALLEST_M};
 use super::surface::{Lattice, Patch, TEXELS_PER_CELL};
 use super::tile_form::{MeshMeasures, TileForm, range_m, roughness};
@@ -87,7 +87,7 @@ impl WorldSet {
     /// Creates the set of a square around a longitude and latitude in radians, with sides in metres. The latitude is moved
     /// so that the square does not reach over a pole.
     pub fn square(world: World, [longitude, latitude]: [f64; 2], size_m: f64, levels: u32) -> Self {
-        let half = 0.5 * size_m / RADIUS_M;
+        let half = (0.5 * size_m / world.radius_m()).min(0.49 * PI);
         let latitude = latitude.clamp(half - 0.49 * PI, 0.49 * PI - half);
         let half_longitude = (half / sin_cos(latitude).1).min(PI);
         let west = longitude - half_longitude;
@@ -194,6 +194,7 @@ impl WorldSet {
             steps: (cells << key.level) as f64,
             column: i64::from(key.x) * cells,
             row: i64::from(key.y) * cells,
+            radius_m: self.world.radius_m(),
         }
     }
 
@@ -204,8 +205,12 @@ impl WorldSet {
 
     /// Returns the heights of a tile's vertices in metres, row by row from the north, with a border of one sample.
     pub fn heights_m(&self, key: TileKey) -> Vec<f32> {
-        let southern_first = self.with_buffers(|buffers| heights_m(&self.patch(key, buffers)));
-        northern_first(&southern_first)
+        northern_first(&self.samples_m(key))
+    }
+
+    /// Returns the same heights, southern row first.
+    pub(super) fn samples_m(&self, key: TileKey) -> Vec<f32> {
+        self.with_buffers(|buffers| heights_m(&self.patch(key, buffers)))
     }
 
     /// Computes the files of a tile.

@@ -6,18 +6,23 @@ use std::f64::consts::PI;
 use serde_json::{Value, json};
 
 use super::form::Described;
-use super::points::{RADIUS_M, sin_cos};
+use super::points::sin_cos;
 use super::scatter::WIDEST_M;
 use super::tiles::WorldSet;
-use crate::TileKey;
-use crate::output::{Entry, SUBTREE_LEVELS, SUBTREES, descendants, subtree, subtree_name, tile_class};
+use crate::output::{Entry, SUBTREE_LEVELS, SUBTREES, descendants, subtree, subtree_name, tile_class, undrawn_error_m};
 use crate::pyramid::{CELLS, QUANTUM_M};
+use crate::{TileKey, body};
 
 /// The number of levels in a tileset.
 pub(super) const LEVELS_PER_TILESET: u32 = 3;
 
-/// Describes a tile.
-type Describe<'a> = &'a dyn Fn(TileKey) -> Described;
+/// What tilesets say of tiles.
+pub(super) struct Descriptions<'a> {
+    /// Describes a tile.
+    pub of: &'a (dyn Fn(TileKey) -> Described + Sync),
+    /// The errors of levels in metres, root first. Readers refine and morph height tiles by them.
+    pub level_errors_m: &'a [f64],
+}
 
 impl WorldSet {
     /// Returns the path of the tileset whose root is a tile, relative to the folder of the set. `None` if the tile is not
@@ -30,23 +35,27 @@ impl WorldSet {
         })
     }
 
-    /// Returns the tileset whose root is a tile. `None` if the tile is not the root of a tileset. It is computed alone: the errors of
-    /// meshes are those of their level, and their volumes wider than in the tilesets that a run writes.
+    /// Returns the descriptions of tiles that are computed alone.
+    fn alone<'a>(&'a self, of: &'a (dyn Fn(TileKey) -> Described + Sync)) -> Descriptions<'a> {
+        Descriptions { of, level_errors_m: self.level_errors_m() }
+    }
+
+    /// Returns the tileset whose root is a tile. `None` if the tile is not the root of a tileset. It is computed alone: its errors are the
+    /// estimates of levels, and its volumes wider than in the tilesets that a run writes, which measures all tiles.
     pub fn tileset(&self, key: TileKey) -> Option<String> {
-        self.tileset_by(key, &|key| self.expected(key))
+        self.tileset_by(key, &self.alone(&|key| self.expected(key)))
     }
 
     /// Like [`Self::tileset`], with descriptions of the tiles.
-    pub(super) fn tileset_by(&self, key: TileKey, describe: Describe<'_>) -> Option<String> {
+    pub(super) fn tileset_by(&self, key: TileKey, described: &Descriptions<'_>) -> Option<String> {
         self.tileset_path(key)?;
         let up = if key.level == 0 { "" } else { "../../" };
-        let root = self.tile_json(key, key.level + LEVELS_PER_TILESET, up, describe);
-        Some(self.tileset_of(key.level, root).to_string())
+        let root = self.tile_json(key, key.level + LEVELS_PER_TILESET, up, described);
+        Some(self.tileset_of(key.level, root, described.level_errors_m).to_string())
     }
 
     /// Returns the tileset around a root tile of a level.
-    fn tileset_of(&self, level: u32, mut root: Value) -> Value {
-        let errors_m = self.level_errors_m();
+    fn tileset_of(&self, level: u32, mut root: Value, errors_m: &[f64]) -> Value {
         let mut asset = json!({ "version": "1.1", "generator": "terrane" });
         if self.form.mesh.is_none() {
             asset["extras"] = json!({ "terrane": {
@@ -56,18 +65,24 @@ impl WorldSet {
         }
         let error_m = root["geometricError"].as_f64().unwrap_or_default().max(errors_m[level as usize]);
         root["refine"] = "REPLACE".into();
-        json!({ "asset": asset, "geometricError": 2.0 * error_m, "root": root })
+        let mut set_error_m = 2.0 * error_m;
+        if level == 0 {
+            set_error_m = set_error_m.max(undrawn_error_m(&self.world().ellipsoid, &self.extent(TileKey::ROOT)));
+        }
+        let mut tileset = json!({ "asset": asset, "geometricError": set_error_m, "root": root });
+        body::declare(&self.world().ellipsoid, &mut tileset);
+        tileset
     }
 
     /// Returns the tileset of implicit tiling. The trees and rocks of tiles are a second content. It is computed alone, as
     /// [`Self::tileset`].
     pub fn implicit_tileset(&self) -> String {
-        self.implicit_tileset_by(&|key| self.expected(key))
+        self.implicit_tileset_by(&self.alone(&|key| self.expected(key)))
     }
 
     /// Like [`Self::implicit_tileset`], with descriptions of the tiles.
-    pub(super) fn implicit_tileset_by(&self, describe: Describe<'_>) -> String {
-        let Described { geometric_error_m, heights_m: [low_m, high_m] } = describe(TileKey::ROOT);
+    pub(super) fn implicit_tileset_by(&self, described: &Descriptions<'_>) -> String {
+        let Described { geometric_error_m, heights_m: [low_m, high_m] } = (described.of)(TileKey::ROOT);
         let template = |extension: &str| format!("{{level}}/{{x}}/{{y}}.{extension}");
         let content = |extension: &str| json!({ "uri": template(extension) });
         let mut tile = json!({
@@ -77,15 +92,16 @@ impl WorldSet {
                 "subdivisionScheme": "QUADTREE", "subtreeLevels": SUBTREE_LEVELS, "availableLevels": self.levels(),
                 "subtrees": { "uri": SUBTREES },
             },
-            "contents": [content(self.form.surface())],
         });
         if let Some(imagery) = self.form.imagery() {
             tile["extras"] = json!({ "terrane": { "imagery": template(imagery) } });
         }
-        if self.has_instances() {
-            tile["contents"] = json!([content(self.form.surface()), content(self.form.scatter())]);
+        // Some clients read `contents` of several only.
+        match self.has_instances() {
+            true => tile["contents"] = json!([content(self.form.surface()), content(self.form.scatter())]),
+            false => tile["content"] = content(self.form.surface()),
         }
-        let mut tileset = self.tileset_of(0, tile);
+        let mut tileset = self.tileset_of(0, tile, described.level_errors_m);
         tileset["schema"] = json!({ "id": "terrane", "classes": { "tile": tile_class() } });
         tileset.to_string()
     }
@@ -94,7 +110,7 @@ impl WorldSet {
     /// in metres.
     fn region(&self, key: TileKey, [low_m, high_m]: [f64; 2], margin_m: f64) -> [f64; 6] {
         let e = self.extent(key);
-        let dy = margin_m / RADIUS_M;
+        let dy = margin_m / self.world().radius_m();
         let dx = dy / sin_cos(e.south.abs().max(e.north.abs())).1.max(0.01);
         [
             (e.west - dx).max(-PI).min(e.west),
@@ -109,16 +125,16 @@ impl WorldSet {
     /// Returns the name and the bytes of the subtree file whose root is a tile. `None` if the tile is not the root of one. It is computed
     /// alone, as [`Self::tileset`].
     pub fn subtree(&self, root: TileKey) -> Option<(String, Vec<u8>)> {
-        self.subtree_by(root, &|key| self.expected(key))
+        self.subtree_by(root, &self.alone(&|key| self.expected(key)))
     }
 
     /// Like [`Self::subtree`], with descriptions of the tiles.
-    pub(super) fn subtree_by(&self, root: TileKey, describe: Describe<'_>) -> Option<(String, Vec<u8>)> {
+    pub(super) fn subtree_by(&self, root: TileKey, described: &Descriptions<'_>) -> Option<(String, Vec<u8>)> {
         if !self.contains(root) || !root.level.is_multiple_of(SUBTREE_LEVELS) {
             return None;
         }
         let entry = |key: TileKey| {
-            let Described { geometric_error_m, heights_m } = describe(key);
+            let Described { geometric_error_m, heights_m } = (described.of)(key);
             Entry { key, contents: if self.has_scatter(key.level) { 0b11 } else { 0b01 }, geometric_error_m, heights_m }
         };
         let tiles: Vec<Option<Entry>> = (0..SUBTREE_LEVELS)
@@ -131,8 +147,8 @@ impl WorldSet {
     }
 
     /// Returns a tile and its descendants on the levels before `end`. Their children there are external tilesets.
-    fn tile_json(&self, key: TileKey, end: u32, up: &str, describe: Describe<'_>) -> Value {
-        let Described { geometric_error_m, heights_m } = describe(key);
+    fn tile_json(&self, key: TileKey, end: u32, up: &str, described: &Descriptions<'_>) -> Value {
+        let Described { geometric_error_m, heights_m } = (described.of)(key);
         // Trees and rocks at an edge reach over it. Height tiles are placed by their regions, which are theirs alone.
         let margin_m = if self.has_meshes() && self.has_instances() { WIDEST_M } else { 0.0 };
         let region = self.region(key, heights_m, margin_m);
@@ -152,7 +168,7 @@ impl WorldSet {
             tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.{imagery}") } });
         }
         if key.level + 1 < self.levels() {
-            let children = key.children().map(|child| self.tile_json(child, end, up, describe));
+            let children = key.children().map(|child| self.tile_json(child, end, up, described));
             tile["children"] = children.to_vec().into();
         }
         tile

@@ -4,19 +4,20 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
+use super::errors::{RATIO, least_error_m};
 use super::form::Described;
 use super::planet::World;
 use super::tiles::{WorldSet, WorldTile};
-use super::tileset::LEVELS_PER_TILESET;
+use super::tileset::{Descriptions, LEVELS_PER_TILESET};
 use crate::args::{ContentKind, GenArgs};
 use crate::output::{BlockFile, Journal, Kind, ListedTile, SUBTREE_LEVELS, TileList, Tiling, descendants, write_whole};
 use crate::pyramid::{CELLS, Samples, Window, distance_to_finer_m};
-use crate::{GenError, Progress, Sharding, Summary, TileKey};
+use crate::{GenError, Progress, Shard, Summary, TileKey};
 
 /// Returns the set that the options describe; `None` without `--world`.
 pub(crate) fn world_set(args: &GenArgs, default_levels: u32) -> Option<WorldSet> {
     let preset = args.world.world?;
-    let world = World::new(preset, args.seed);
+    let world = World::on(preset, args.seed, args.output.ellipsoid());
     // Terrain for globes counts levels from that of the whole earth.
     let own_levels = args.levels.filter(|_| args.content != ContentKind::QuantizedMesh);
     let levels = own_levels.unwrap_or(default_levels);
@@ -38,6 +39,20 @@ const LOOSE: &str = ".tiles";
 /// The largest number of levels of a world in a folder. `terrane serve --procedural` makes tiles of finer ones on demand.
 const MAX_LEVELS: u32 = 9;
 
+/// Levels of the subtrees that shards make; a merge makes the coarser tiles.
+const SHARD_LEVELS: u32 = 3;
+
+/// Returns the roots of the subtrees that shards make, in order.
+pub(crate) fn shard_roots(set: &WorldSet) -> Vec<TileKey> {
+    let level = set.levels().saturating_sub(SHARD_LEVELS).max(1).min(set.levels().saturating_sub(1));
+    descendants(TileKey::ROOT, level).collect()
+}
+
+/// Returns the number of tiles of a set at and below those of a level, for each of them.
+pub(crate) fn tiles_below(set: &WorldSet, level: u32) -> u64 {
+    (0..set.levels() - level).map(|level| 1 << (2 * level)).sum()
+}
+
 /// Checks options that have no effect with `--world`, or only with it.
 pub(crate) fn check_world(args: &GenArgs) -> Result<(), String> {
     let world = &args.world;
@@ -48,17 +63,18 @@ pub(crate) fn check_world(args: &GenArgs) -> Result<(), String> {
         };
     }
     let is_terrain = args.content == ContentKind::QuantizedMesh;
+    let ellipsoid = args.output.ellipsoid();
+    if !World::can_lie_on(&ellipsoid) {
+        return Err("--body: radii of worlds are 10 to 20,000 km".to_owned());
+    }
+    if !world.globe && args.size > ellipsoid.semi_major_m {
+        return Err(format!("--size {} m is larger than the radius of the body", args.size));
+    }
     let problem = match args.content {
         _ if !args.imagery.is_empty() => "--imagery has no effect with --world",
         ContentKind::QuantizedMesh if world.scatter => "--scatter has no effect with --content quantized-mesh",
         ContentKind::Height if args.tiles.no_meshopt => {
             "--no-meshopt has no effect with --world without --content mesh"
-        }
-        ContentKind::Mesh if args.output.is_packed() && world.scatter => {
-            "--scatter is not supported with --archive packed and --content mesh: packed tiles have one mesh"
-        }
-        _ if !is_terrain && args.sharding != Sharding::default() => {
-            "--plan, --shard and --merge are supported with --world only if --content is quantized-mesh"
         }
         _ if !is_terrain && args.levels.is_some_and(|levels| levels > MAX_LEVELS) => {
             return Err(format!(
@@ -79,8 +95,8 @@ struct MadeTile {
     range_m: [f32; 2],
     /// The error and the heights of the tile with all tiles below it.
     described: Described,
-    /// For meshes, a number for each coarser level: the largest distance of this tile's finest samples from the grid of the tile
-    /// above it on that level, in metres.
+    /// A number for each coarser level: the largest distance of this tile's finest samples from the grid of the tile above it on
+    /// that level, in metres.
     above_m: Vec<f64>,
 }
 
@@ -117,16 +133,34 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
+    /// Makes the tiles at and below the roots in `part`, all of one level, that lie in a tile. `above` are the tiles that contain it.
+    fn make_part(&self, key: TileKey, above: &[(TileKey, &[f32])], part: &[TileKey]) -> Result<(), GenError> {
+        let Some(level) = part.first().map(|root| root.level) else { return Ok(()) };
+        if key.level == level {
+            return self.make(key, above).map(drop);
+        }
+        // The tile belongs to no shard, but the tiles below are measured against it.
+        let heights_m = self.set.samples_m(key);
+        let mut path = above.to_vec();
+        path.push((key, &heights_m));
+        key.children().par_iter().try_for_each(|child| {
+            let up = level - child.level;
+            let is_below = |root: &&TileKey| [root.x >> up, root.y >> up] == [child.x, child.y];
+            self.make_part(*child, &path, &part.iter().filter(is_below).copied().collect::<Vec<_>>())
+        })
+    }
+
     /// Makes a tile and all tiles below it, unless an earlier run has. `above` are the tiles that contain it, the root first, with
     /// their heights.
     fn make(&self, key: TileKey, above: &[(TileKey, &[f32])]) -> Result<MadeTile, GenError> {
         if let Some(complete) = self.list.get(key) {
-            let below: u64 = (0..self.set.levels() - key.level).map(|level| 1 << (2 * level)).sum();
-            self.progress.advance(below);
+            self.progress.advance(tiles_below(self.set, key.level));
             return Ok(complete);
         }
         let tile = self.set.tile(key)?;
-        let stem = self.folder.join(format!("{}/{}/{}", key.level, key.x, key.y));
+        let column = self.folder.join(format!("{}/{}", key.level, key.x));
+        std::fs::create_dir_all(&column).map_err(GenError::file(&column))?;
+        let stem = column.join(key.y.to_string());
         let written =
             tile.files.iter().map(|(extension, content)| write_whole(&stem.with_extension(extension), content));
         let bytes = written.sum::<Result<u64, GenError>>()?;
@@ -152,13 +186,7 @@ impl Run<'_> {
         below: &[MadeTile],
     ) -> (Described, Vec<f64>) {
         let set = self.set;
-        let errors_m = set.level_errors_m();
         let [mut low_m, mut high_m] = tile.range_m.map(f64::from);
-        if !set.has_meshes() {
-            // All tiles of a level have one error, and their volumes are known without the tiles below.
-            let geometric_error_m = errors_m[key.level as usize];
-            return (Described { geometric_error_m, heights_m: [low_m, high_m] }, Vec::new());
-        }
         let mut above_m = vec![0.0; above.len()];
         let mut own_m = 0.0f64;
         for child in below {
@@ -169,13 +197,21 @@ impl Run<'_> {
             let samples = own_samples(key, &tile.heights_m);
             for ((coarser, heights_m), most) in above.iter().zip(&mut above_m) {
                 let height_m = |i: i64, j: i64| heights_m[(j + 1) as usize * (CELLS + 3) + (i + 1) as usize];
-                *most = distance_to_finer_m(&set.extent(TileKey::ROOT), *coarser, height_m, key, &samples);
+                *most = distance_to_finer_m(
+                    &set.world().ellipsoid,
+                    &set.extent(TileKey::ROOT),
+                    *coarser,
+                    height_m,
+                    key,
+                    &samples,
+                );
             }
         }
         high_m += set.tallest_m(key.level);
         // The finest level is off from the world itself, too.
-        let finest_m = errors_m.last().copied().unwrap_or(0.0);
-        let mut described = set.described(key, [low_m, high_m], own_m + finest_m, tile.measures);
+        let finest_m = set.level_errors_m().last().copied().unwrap_or(0.0);
+        let error_m = (own_m + finest_m).max(least_error_m(set, key.level));
+        let mut described = set.described(key, [low_m, high_m], error_m, tile.measures);
         [low_m, high_m] = described.heights_m;
         for Described { geometric_error_m, heights_m: [low, high] } in below.iter().map(|child| child.described) {
             described.geometric_error_m = described.geometric_error_m.max(geometric_error_m);
@@ -194,48 +230,41 @@ fn own_samples(key: TileKey, heights_m: &[f32]) -> Samples {
     Samples { window: Window { first, last: first.map(|c| c + CELLS as i64) }, values }
 }
 
-/// Makes the folders of the tiles of a level, inside a folder.
-fn make_columns(folder: &Path, level: u32) -> Result<(), GenError> {
-    (0..1u32 << level).try_for_each(|x| {
-        let path = folder.join(format!("{level}/{x}"));
-        std::fs::create_dir_all(&path).map_err(GenError::file(&path))
-    })
-}
-
-/// Writes all tiles and tilesets of a set into a folder, on the threads of the current rayon pool. A tile is not made again
-/// if a killed run had completed it and all tiles below it. The caller fills in the duration and the final folder of the summary.
-pub(crate) fn write_world(set: &WorldSet, tiling: Tiling, folder: &Path) -> Result<Summary, GenError> {
+/// Writes all tiles and tilesets of a set into a folder, on the threads of the current rayon pool; of a shard only the tiles at and
+/// below its roots. A tile is not made again if a killed run or a shard had completed it and all tiles below it. The caller fills in the
+/// duration and the final folder of the summary.
+pub(crate) fn write_world(
+    set: &WorldSet,
+    tiling: Tiling,
+    folder: &Path,
+    shard: Option<Shard>,
+) -> Result<Summary, GenError> {
     let is_packed = set.is_packed();
     // Tilesets lie in the folder of the set, and so do tiles that are not packed.
     let loose = if is_packed { folder.join(LOOSE) } else { folder.to_path_buf() };
-    for level in 0..set.levels() {
-        make_columns(folder, level)?;
-        make_columns(&loose, level)?;
-    }
     // Threads that make tiles would wait for the errors, and one of them would measure these.
     set.level_errors_m();
-    let tiles: u64 = (0..set.levels()).map(|level| 1 << (2 * level)).sum();
+    let roots = shard_roots(set);
+    let whole = [TileKey::ROOT];
+    let part = shard.map_or(whole.as_slice(), |shard| shard.part_of(&roots));
+    let tiles = part.iter().map(|root| tiles_below(set, root.level)).sum();
     let journal = Journal::new(folder);
     let progress = Progress::new("writing", tiles, "tiles");
-    Run { set, folder: &loose, list: journal.tiles(None)?, progress }.make(TileKey::ROOT, &[])?;
-    let list: TileList<MadeTile> = journal.tiles(None)?;
-    let mut bytes = write_tilesets(set, &list, tiling, folder)?;
-    let mut range_m = [f32::INFINITY, f32::NEG_INFINITY];
-    let mut level_errors_m = set.level_errors_m().to_vec();
-    if set.has_meshes() {
-        level_errors_m.fill(0.0);
-    }
-    for (key, tile) in list.all() {
+    Run { set, folder: &loose, list: journal.tiles(shard)?, progress }.make_part(TileKey::ROOT, &[], part)?;
+    // The list of what was made now and before.
+    let list: TileList<MadeTile> = journal.tiles(shard)?;
+    let (mut bytes, mut range_m) = (0, [f32::INFINITY, f32::NEG_INFINITY]);
+    for (_, tile) in list.all() {
         bytes += tile.bytes;
         range_m = [range_m[0].min(tile.range_m[0]), range_m[1].max(tile.range_m[1])];
-        let error_m = &mut level_errors_m[key.level as usize];
-        *error_m = error_m.max(tile.described.geometric_error_m);
     }
-    if is_packed {
-        pack(set, &list, &loose, folder)?;
+    let level_errors_m = measured_errors_m(set, &list);
+    if shard.is_none() {
+        bytes += write_tilesets(set, &list, &level_errors_m, tiling, folder)?;
+        if is_packed {
+            pack(set, &list, &loose, folder)?;
+        }
     }
-    drop(list);
-    journal.remove()?;
     Ok(Summary {
         out: folder.to_path_buf(),
         tiles,
@@ -251,13 +280,34 @@ pub(crate) fn write_world(set: &WorldSet, tiling: Tiling, folder: &Path) -> Resu
     })
 }
 
+/// Returns the errors of levels in metres, root first: those of their tiles, and a little more than that of the next level.
+fn measured_errors_m(set: &WorldSet, list: &TileList<MadeTile>) -> Vec<f64> {
+    let mut errors_m = vec![0.0f64; set.levels() as usize];
+    for (key, tile) in list.all() {
+        let error_m = &mut errors_m[key.level as usize];
+        *error_m = error_m.max(tile.described.geometric_error_m);
+    }
+    for level in (0..errors_m.len().saturating_sub(1)).rev() {
+        errors_m[level] = errors_m[level].max(RATIO * errors_m[level + 1]);
+    }
+    errors_m
+}
+
 /// Writes the tilesets, or the tileset of implicit tiling and its subtree files. Returns their bytes.
-fn write_tilesets(set: &WorldSet, list: &TileList<MadeTile>, tiling: Tiling, folder: &Path) -> Result<u64, GenError> {
-    let describe = |key: TileKey| match list.get(key) {
-        Some(tile) if set.has_meshes() => tile.described,
-        _ => set.expected(key),
+fn write_tilesets(
+    set: &WorldSet,
+    list: &TileList<MadeTile>,
+    level_errors_m: &[f64],
+    tiling: Tiling,
+    folder: &Path,
+) -> Result<u64, GenError> {
+    let of = |key: TileKey| list.get(key).map_or_else(|| set.expected(key), |tile| tile.described);
+    let described = Descriptions { of: &of, level_errors_m };
+    let write = |name: &str, content: &[u8]| {
+        let path = folder.join(name);
+        path.parent().map_or(Ok(()), |parent| std::fs::create_dir_all(parent).map_err(GenError::file(parent)))?;
+        write_whole(&path, content)
     };
-    let write = |name: &str, content: &[u8]| write_whole(&folder.join(name), content);
     let roots = |levels: u32| -> Vec<TileKey> {
         let levels = (0..set.levels()).filter(|level| level.is_multiple_of(levels));
         levels.flat_map(|level| descendants(TileKey::ROOT, level)).collect()
@@ -265,16 +315,13 @@ fn write_tilesets(set: &WorldSet, list: &TileList<MadeTile>, tiling: Tiling, fol
     let (roots, first) = match tiling {
         Tiling::Explicit => (roots(LEVELS_PER_TILESET), 0),
         Tiling::Implicit => {
-            for level in (0..set.levels()).filter(|level| level.is_multiple_of(SUBTREE_LEVELS)) {
-                make_columns(&folder.join("subtrees"), level)?;
-            }
-            (roots(SUBTREE_LEVELS), write("tileset.json", set.implicit_tileset_by(&describe).as_bytes())?)
+            (roots(SUBTREE_LEVELS), write("tileset.json", set.implicit_tileset_by(&described).as_bytes())?)
         }
     };
     let written = roots.par_iter().map(|key| {
         let file = match tiling {
-            Tiling::Explicit => set.tileset_path(*key).zip(set.tileset_by(*key, &describe).map(String::into_bytes)),
-            Tiling::Implicit => set.subtree_by(*key, &describe),
+            Tiling::Explicit => set.tileset_path(*key).zip(set.tileset_by(*key, &described).map(String::into_bytes)),
+            Tiling::Implicit => set.subtree_by(*key, &described),
         };
         file.map_or(Ok(0), |(name, content)| write(&name, &content))
     });
@@ -315,8 +362,7 @@ mod tests {
         let args = GenArgs { content: ContentKind::Mesh, color: Color::None, ..GenArgs::new("") };
         let set = WorldSet::square(World::new(WorldPreset::Moon, 1), [0.3, 0.5], 20_000.0, 2).with_form_of(&args);
         let [whole, continued] = ["whole", "continued"].map(|name| folder.path().join(name));
-        let wanted = write_world(&set, Tiling::Explicit, &whole).unwrap();
-        (0..2).for_each(|level| make_columns(&continued, level).unwrap());
+        let wanted = write_world(&set, Tiling::Explicit, &whole, None).unwrap();
         let journal = Journal::new(&continued);
         let (list, progress) = (journal.tiles(None).unwrap(), Progress::new("writing", 5, "tiles"));
         let run = Run { set: &set, folder: &continued, list, progress };
@@ -325,7 +371,7 @@ mod tests {
         drop(run);
         // The content shows whether the file is written again.
         std::fs::write(continued.join("1/1/0.glb"), "complete").unwrap();
-        let made = write_world(&set, Tiling::Explicit, &continued).unwrap();
+        let made = write_world(&set, Tiling::Explicit, &continued, None).unwrap();
         assert_eq!(Summary { out: wanted.out.clone(), ..made }, wanted);
         let read = |set: &Path, name: &str| std::fs::read(set.join(name)).unwrap();
         assert_eq!(read(&continued, "1/1/0.glb"), b"complete");

@@ -3,9 +3,12 @@
 use std::fs;
 use std::path::Path;
 
-use crate::files::{PLACE, SIDE, from_dem, heights, tiff_int16, tiff_int16_keyed};
+use crate::files::{PLACE, SIDE, from_dem, heights, region, tiff_int16, tiff_int16_keyed, tileset};
+use terrane::fetch::Limits;
+use terrane::formats::verify;
 use terrane::formats::writers::write_height_exr;
-use terrane_data_gen::{Crs, GenArgs, GenError, Raster, VerticalDatum, run, utm_to_geodetic};
+use terrane::math::{Ellipsoid, MARS, MOON};
+use terrane_data_gen::{ContentKind, Crs, GenArgs, GenError, Raster, VerticalDatum, run, utm_to_geodetic};
 
 /// Easting and northing of the north-western sample, and the pixel size, in metres; a point of the Alps in zone 32.
 const PLANE: ([f64; 2], f64) = ([499_000.0, 5_150_000.0], 30.0);
@@ -198,12 +201,7 @@ fn projections_of_epsg_agree_with_proj() {
         ("utm", "neither an EPSG code nor"),
         ("+proj=nonsense", "+proj=nonsense"),
         ("+proj=geocent +datum=WGS84", "only geographic and projected"),
-        ("+proj=longlat +a=1737400 +b=1737400 +no_defs", "an ellipsoid of 1737400 m is not the earth's"),
-        (
-            r#"GEOGCS["Mars 2000",DATUM["D_Mars_2000",SPHEROID["Mars_2000_IAU_IAG",3396190.0,169.89444722361179]],
-            PRIMEM["Reference_Meridian",0.0],UNIT["Degree",0.0174532925199433]]"#,
-            "an ellipsoid of 3396190 m is not the earth's",
-        ),
+        ("+proj=longlat +R=12", "radii [12.0, 12.0, 12.0]"),
     ] {
         let error = Crs::parse(text).unwrap_err();
         assert!(error.contains(why), "{error}");
@@ -331,4 +329,78 @@ fn a_file_beside_a_raster_names_its_system() {
     fs::remove_dir_all(&args.out).unwrap();
     refused(&args, "a.prj: `Projection UTM Zone 32` is neither an EPSG code nor");
     lies(&GenArgs { epsg: Some(UTM_32), ..args }, bounds(32));
+}
+
+const MOON_2000: &str = r#"GEOGCS["GCS_Moon_2000",DATUM["D_Moon_2000",SPHEROID["Moon_2000_IAU_IAG",1737400.0,0.0]],
+    PRIMEM["Reference_Meridian",0.0],UNIT["Degree",0.0174532925199433]]"#;
+const MARS_2000: &str = r#"GEOGCS["Mars 2000",DATUM["D_Mars_2000",SPHEROID["Mars_2000_IAU_IAG",3396190.0,169.89444722361179]],
+    PRIMEM["Reference_Meridian",0.0],UNIT["Degree",0.0174532925199433]]"#;
+
+/// Regression: systems of other bodies were refused.
+#[test]
+fn reference_systems_of_other_bodies_are_read() {
+    let on = |text: &str| match Crs::parse(text).unwrap() {
+        Crs::OnBody(ellipsoid) => ellipsoid,
+        other => panic!("{text}: {other:?}"),
+    };
+    assert_eq!(on(MOON_2000), MOON);
+    assert_eq!(on("+proj=longlat +a=1737400 +b=1737400 +no_defs"), MOON);
+    assert_eq!(on("+proj=longlat +R=1737400"), MOON);
+    let Ellipsoid { semi_major_m, semi_minor_m } = on(MARS_2000);
+    assert!(semi_major_m == MARS.semi_major_m && (semi_minor_m - MARS.semi_minor_m).abs() < 1e-3, "{semi_minor_m}");
+    // Values of PROJ 9.
+    let near = |text: &str, [x, y]: [f64; 2], [longitude, latitude]: [f64; 2]| {
+        let crs = Crs::parse(text).unwrap();
+        let found = crs.unproject(x, y).map(f64::to_degrees);
+        assert!((found[0] - longitude).abs() < 1e-9 && (found[1] - latitude).abs() < 1e-9, "{text}: {found:?}");
+        let back = crs.project(longitude.to_radians(), latitude.to_radians());
+        assert!((back[0] - x).abs() < 1e-4 && (back[1] - y).abs() < 1e-4, "{text}: {back:?}");
+    };
+    near("+proj=eqc +R=1737400", [303_233.504_241_494_8, 606_467.008_482_989_6], [10.0, 20.0]);
+    near("+proj=stere +lat_0=-90 +R=1737400", [0.0, 151_713.044_418_498], [0.0, -85.0]);
+}
+
+/// The body of a set is that of its elevation.
+#[test]
+fn elevation_of_other_bodies_lies_on_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let grid = |name: &str, prj: &str| {
+        let rows: String = (0..30)
+            .map(|j| (0..30).map(|i| format!("{} ", 100 * ((i * j) % 7) - 300)).collect::<String>() + "\n")
+            .collect();
+        let header = "ncols 30\nnrows 30\nxllcorner 23.4\nyllcorner 0.6\ncellsize 0.01\n";
+        let args = from_dem(folder.path(), &format!("{name}.asc"), format!("{header}{rows}").as_bytes());
+        if !prj.is_empty() {
+            fs::write(folder.path().join(format!("{name}.prj")), prj).unwrap();
+        }
+        GenArgs { levels: Some(1), ..args }
+    };
+    let radii = |args: &GenArgs| {
+        let set = tileset(&args.out);
+        let found = verify(&args.out.to_string_lossy(), &Limits::default(), &mut |_| ()).unwrap();
+        assert_eq!((found.contents, found.failed, found.problems.len()), (1, 0, 0), "{:?}", found.problems);
+        let region = region(&set["root"]);
+        assert!((region[0].to_degrees() - 23.405).abs() < 1e-9 && region[4] < -290.0, "{region:?}");
+        set["extensions"]["3DTILES_ellipsoid"]["radii"].clone()
+    };
+    for content in [ContentKind::Height, ContentKind::Mesh] {
+        let args = GenArgs { content, ..grid(&format!("{content:?}"), MOON_2000) };
+        run(&args).unwrap();
+        assert_eq!(radii(&args), serde_json::json!([1_737_400.0, 1_737_400.0, 1_737_400.0]));
+    }
+    // Degrees without a body are those of the one that is given.
+    let mut plain = grid("plain", "");
+    plain.output.body = Some("mars".parse().unwrap());
+    run(&plain).unwrap();
+    assert_eq!(radii(&plain)[2], 3_376_200.0);
+    let moon = grid("moon", MOON_2000);
+    let mut other = moon.clone();
+    other.output.body = Some("mars".parse().unwrap());
+    refused(&other, "radii of 1737400 and 1737400 m, and that of --body 3396190");
+    let two = GenArgs { dem: vec![moon.dem[0].clone(), grid("mars", MARS_2000).dem[0].clone()], ..moon.clone() };
+    refused(&two, "and that of");
+    let globe = GenArgs { content: ContentKind::QuantizedMesh, ..moon.clone() };
+    assert!(run(&globe).unwrap_err().to_string().contains("layer.json names no body"));
+    let geoid = GenArgs { vertical_datum: VerticalDatum::parse("egm96").unwrap(), ..moon };
+    assert!(!run(&geoid).unwrap_err().to_string().is_empty());
 }

@@ -183,10 +183,11 @@ fn meshes_of_worlds_are_archived_and_packed_and_some_options_are_refused() {
         run(&args).unwrap();
         let found = verified(&args.out);
         assert_eq!((found.contents, found.failed, found.problems.len()), (1, 0, 0), "{found:?}");
-        let mut scattered = GenArgs { overwrite: true, ..args };
+        let mut scattered = GenArgs { overwrite: true, size: 1_000.0, ..args };
         scattered.world.scatter = true;
-        let refused = run(&scattered).err().map(|error| error.to_string());
-        assert_eq!(refused.is_some_and(|error| error.contains("--scatter")), archive == ArchiveFormat::Packed);
+        run(&scattered).unwrap();
+        let found = verified(&scattered.out);
+        assert_eq!((found.contents, found.failed, found.problems.len()), (2, 0, 0), "{found:?}");
     }
     let heights = |tiles: TileArgs| GenArgs {
         tiles,
@@ -220,7 +221,23 @@ fn worlds_are_terrain_for_globes() {
     assert!((low_m - f64::from(low)).abs() < 150.0 && (high_m - f64::from(high)).abs() < 150.0, "{low_m} {low}");
     let found = verified(&out);
     assert_eq!((found.failed, found.problems.len()), (0, 0), "{found:?}");
-    let mut scattered = GenArgs { overwrite: true, ..args };
+    let layer = |args: &GenArgs| -> Value {
+        serde_json::from_slice(&std::fs::read(args.out.join("layer.json")).unwrap()).unwrap()
+    };
+    assert_eq!(layer(&args)["extensions"], serde_json::json!(["octvertexnormals"]), "no water on the moon");
+    let mut scattered = GenArgs { overwrite: true, ..args.clone() };
     scattered.world.scatter = true;
     assert!(run(&scattered).unwrap_err().to_string().contains("--scatter"));
+    // Tiles of the sea and of land have one number for their water, those of coasts one for each of 256 x 256 cells.
+    let world = WorldArgs { world: Some(WorldPreset::Islands), ..WorldArgs::default() };
+    let isles = GenArgs { world, levels: Some(10), out: folder.path().join("isles"), ..args };
+    run(&isles).unwrap();
+    assert_eq!(layer(&isles)["extensions"], serde_json::json!(["octvertexnormals", "watermask"]));
+    let found = verified(&isles.out);
+    assert_eq!((found.failed, found.ignored.len(), found.problems.len()), (0, 0, 0), "{found:?}");
+    let sizes: Vec<usize> = files_below(&isles.out).into_values().map(|file| file.len()).collect();
+    assert!(sizes.iter().any(|size| *size > 65_536) && sizes.iter().any(|size| *size < 10_000), "{sizes:?}");
+    let far = std::fs::read(isles.out.join("0/0/0.terrain")).unwrap();
+    // The last extension: its number, its length, and the water of the whole tile.
+    assert_eq!(far[far.len() - 6..], [2, 1, 0, 0, 0, 255], "beyond the set lies the sea");
 }

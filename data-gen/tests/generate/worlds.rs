@@ -1,7 +1,15 @@
 //! Worlds from a seed: tiles that are computed alone, edges, errors, and the files of a set.
 
 use serde_json::Value;
-use terrane_data_gen::{GenArgs, Sharding, TileKey, World, WorldArgs, WorldPreset, WorldSet, run};
+use terrane::fetch::Limits;
+use terrane::formats::{Verified, verify};
+use terrane::math::{Geodetic, MOON};
+use terrane_data_gen::{
+    ArchiveFormat, Color, ContentKind, GenArgs, Outcome, OutputArgs, Sharding, TileKey, Tiling, World, WorldArgs,
+    WorldPreset, WorldSet, execute, run,
+};
+
+use crate::files::{each_tile, files_below, region, tileset};
 
 const SIDE: usize = 67;
 
@@ -31,8 +39,6 @@ fn tile_computed_alone_has_the_bytes_of_the_set() {
         let file = |end: &str| std::fs::read(out.join(format!("{}/{}/{}.{end}", key.level, key.x, key.y))).unwrap();
         assert!(file("exr") == tile.file("exr").unwrap() && file("jpg") == tile.file("jpg").unwrap(), "{key:?}");
     }
-    let written = std::fs::read_to_string(out.join("tileset.json")).unwrap();
-    assert_eq!(Some(written), set.tileset(tile(0, 0, 0)));
     let other = WorldSet::square(World::new(WorldPreset::Islands, 6), center, 40_000.0, 3);
     assert!(set.heights_m(tile(1, 0, 0)) != other.heights_m(tile(1, 0, 0)), "another seed makes another world");
 }
@@ -197,12 +203,15 @@ fn options_that_do_not_fit_are_refused() {
     let refused = |world: WorldArgs, content| {
         run(&GenArgs { world, content, ..GenArgs::new(folder.path().join("out")) }).unwrap_err().to_string()
     };
-    let shards = GenArgs {
+    let moon = GenArgs {
         world: WorldArgs { world: Some(WorldPreset::Moon), ..WorldArgs::default() },
-        sharding: Sharding { merge: true, ..Sharding::default() },
         ..GenArgs::new(folder.path().join("out"))
     };
-    assert!(run(&shards).unwrap_err().to_string().contains("--merge"));
+    let merge = GenArgs { sharding: Sharding { merge: true, ..Sharding::default() }, ..moon.clone() };
+    assert!(run(&merge).unwrap_err().to_string().contains("no shards"));
+    let vesta = OutputArgs { body: Some("286300x278600x223200".parse().unwrap()), ..OutputArgs::default() };
+    let wide = GenArgs { output: vesta, size: 300_000.0, ..moon };
+    assert!(run(&wide).unwrap_err().to_string().contains("--size"));
     use terrane_data_gen::ContentKind::Height;
     assert!(refused(WorldArgs { globe: true, ..WorldArgs::default() }, Height).contains("--world"));
     assert!(!folder.path().join("out").exists());
@@ -318,4 +327,131 @@ fn bounds_of_small_sets_contain_the_heights() {
             assert!((low_m..=high_m).contains(&f64::from(height_m)), "{preset:?}: {height_m} m, {low_m} to {high_m}");
         }
     }
+}
+
+fn verified(set: &std::path::Path) -> Verified {
+    verify(&set.to_string_lossy(), &Limits::default(), &mut |_| ()).unwrap()
+}
+
+fn bare(out: &std::path::Path, preset: WorldPreset, size: f64, levels: u32) -> GenArgs {
+    let world = WorldArgs { world: Some(preset), ..WorldArgs::default() };
+    GenArgs { world, size, levels: Some(levels), color: Color::None, ..GenArgs::new(out) }
+}
+
+/// Regression: errors were those of levels, estimated from some places: here 1,128 m where 1,311 m are measured.
+#[test]
+fn height_tiles_have_measured_errors() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = GenArgs { seed: 2, ..bare(&folder.path().join("set"), WorldPreset::Islands, 80_000.0, 2) };
+    let summary = run(&args).unwrap();
+    let found = verified(&args.out);
+    assert_eq!((found.contents, found.failed, found.problems.len()), (5, 0, 0), "{:?}", found.problems);
+    let set = tileset(&args.out);
+    let declared = &set["asset"]["extras"]["terrane"]["level_errors_m"];
+    assert_eq!(
+        declared.as_array().unwrap().iter().map(|e| e.as_f64().unwrap()).collect::<Vec<_>>(),
+        summary.level_errors_m
+    );
+    let mut tiles = 0;
+    each_tile(&set["root"], None, &mut |tile, parent| {
+        tiles += 1;
+        let error_m = |tile: &Value| tile["geometricError"].as_f64().unwrap();
+        assert!(error_m(tile) <= summary.level_errors_m[usize::from(parent.is_some())]);
+        let Some(parent) = parent else { return };
+        assert!(error_m(parent) >= error_m(tile));
+        let (own, outer) = (region(tile), region(parent));
+        assert!(own[4] >= outer[4] && own[5] <= outer[5], "{own:?} {outer:?}");
+    });
+    assert_eq!(tiles, 5);
+}
+
+#[test]
+fn worlds_are_made_of_shards() {
+    let folder = tempfile::tempdir().unwrap();
+    let kinds = [
+        (ContentKind::Height, Tiling::Explicit, None),
+        (ContentKind::Mesh, Tiling::Implicit, None),
+        (ContentKind::Mesh, Tiling::Explicit, Some(ArchiveFormat::Packed)),
+    ];
+    for (k, (content, tiling, archive)) in kinds.into_iter().enumerate() {
+        let extension = if archive.is_some() { ".terrane" } else { "" };
+        let args = |name: &str| {
+            let output = OutputArgs { tiling, archive, ..OutputArgs::default() };
+            let out = folder.path().join(format!("{name}{k}{extension}"));
+            GenArgs { content, output, ..bare(&out, WorldPreset::Alps, 20_000.0, 2) }
+        };
+        let part = |sharding: Sharding| GenArgs { jobs: Some(1), sharding, ..args("parts") };
+        let shard = |text: &str| part(Sharding { shard: Some(text.parse().unwrap()), ..Sharding::default() });
+        let merge = part(Sharding { merge: true, ..Sharding::default() });
+        let whole = run(&args("whole")).unwrap();
+        assert_eq!(run(&shard("2/3")).unwrap().tiles, 1);
+        let Ok(Outcome::Plan(plan)) = execute(&part(Sharding { plan: Some(3), ..Sharding::default() })) else {
+            panic!("a plan")
+        };
+        let plan: Value = serde_json::from_str(&plan).unwrap();
+        let shards = plan["shards"].as_array().unwrap();
+        assert_eq!(
+            shards[1],
+            serde_json::json!({
+                "shard": "2/3", "complete": true, "tilesAtMost": 1, "subtrees": ["1/1/0"],
+            })
+        );
+        assert_eq!(shards[2]["complete"], false, "{plan}");
+        let error = run(&merge).unwrap_err().to_string();
+        assert!(error.contains("1/3, 3/3; make them with --shard"), "{error}");
+        for text in ["1/3", "3/3", "2/3"] {
+            run(&shard(text)).unwrap();
+        }
+        let merged = run(&merge).unwrap();
+        assert_eq!((merged.tiles, merged.bytes, &merged.level_errors_m), (5, whole.bytes, &whole.level_errors_m));
+        assert_eq!((merged.min_height_m, merged.max_height_m), (whole.min_height_m, whole.max_height_m));
+        match archive {
+            Some(_) => assert!(std::fs::read(&merged.out).unwrap() == std::fs::read(&whole.out).unwrap()),
+            None => assert!(files_below(&merged.out) == files_below(&whole.out)),
+        }
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2 * (k + 1), "two sets of each kind");
+    }
+}
+
+/// Tilesets name the body, and tiles lie on its ellipsoid with the size that is asked for.
+#[test]
+fn worlds_lie_on_other_bodies() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = OutputArgs { body: Some("moon".parse().unwrap()), ..OutputArgs::default() };
+    for content in [ContentKind::Height, ContentKind::Mesh] {
+        let out = folder.path().join(format!("{content:?}"));
+        let mut args = GenArgs { content, output: output.clone(), ..bare(&out, WorldPreset::Moon, 2_000.0, 2) };
+        args.world.scatter = content == ContentKind::Mesh;
+        args.world.center = Some([8.0, 30.0]);
+        run(&args).unwrap();
+        let found = verified(&out);
+        assert_eq!((found.failed, found.problems.len()), (0, 0), "{:?}", found.problems);
+        assert!(found.contents > if content == ContentKind::Mesh { 5 } else { 4 });
+        let set = tileset(&out);
+        let body = &set["extensions"]["3DTILES_ellipsoid"];
+        assert_eq!((&body["body"], &body["radii"][2]), (&"Moon".into(), &1_737_400.0.into()), "{set}");
+        assert_eq!(set["extensionsUsed"][0], "3DTILES_ellipsoid");
+        let [west, south, east, north, low_m, high_m] = region(&set["root"])[..] else { panic!("a region") };
+        let margin = if content == ContentKind::Mesh { 40.0 } else { 6.0 };
+        assert!(((north - south) * 1_737_400.0 - 2_000.0).abs() < margin, "{south} {north}");
+        assert!(((east - west) * 1_737_400.0 * 30f64.to_radians().cos() - 2_000.0).abs() < margin, "{west} {east}");
+        if content == ContentKind::Mesh {
+            let glb = std::fs::read(out.join("0/0/0.glb")).unwrap();
+            let (json, _) = instances(&glb);
+            let matrix = json["nodes"][0]["matrix"].as_array().unwrap();
+            let [x, z, minus_y] = [12, 13, 14].map(|k| matrix[k].as_f64().unwrap());
+            let Geodetic { longitude, latitude, height_m } = MOON.geodetic([x, -minus_y, z].into());
+            assert!((west..east).contains(&longitude) && (south..north).contains(&latitude));
+            assert!((low_m..high_m).contains(&height_m), "{height_m} {low_m} {high_m}");
+        }
+    }
+    // Craters are as large as on the earth: the noise has the size of the body.
+    let slopes = |set: &WorldSet| {
+        let heights_m = set.heights_m(TileKey::ROOT);
+        heights_m.windows(2).map(|pair| f64::from((pair[1] - pair[0]).abs())).sum::<f64>()
+    };
+    let [earth, moon] = [World::new(WorldPreset::Mars, 1), World::on(WorldPreset::Mars, 1, MOON)].map(|world| {
+        (0..6).map(|k| slopes(&WorldSet::square(world.clone(), [0.3 * f64::from(k), 0.2], 20_000.0, 1))).sum::<f64>()
+    });
+    assert!((0.5..2.0).contains(&(moon / earth)), "{moon} {earth}");
 }

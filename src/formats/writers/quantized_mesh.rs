@@ -1,4 +1,4 @@
-//! Writes terrain tiles of the format quantized-mesh-1.0 with the extension octvertexnormals (Cesium's specification). Little endian.
+//! Writes terrain tiles of the format quantized-mesh-1.0 with the extensions octvertexnormals, watermask and metadata (Cesium's specification). Little endian.
 
 use glam::DVec3;
 
@@ -7,10 +7,14 @@ use crate::math::{Geodetic, WGS84};
 
 /// The largest value of a vertex' coordinates.
 const MAX_COORDINATE: f64 = 32767.0;
+/// The cells of a water mask.
+const WATER_CELLS: usize = 256 * 256;
 /// Tiles with more vertices have indices of 32 bits.
 const MAX_SHORT_VERTICES: usize = 1 << 16;
 /// The extension octvertexnormals.
 const OCT_VERTEX_NORMALS: u8 = 1;
+/// The extension watermask.
+const WATER_MASK: u8 = 2;
 const METADATA: u8 = 4;
 /// The parts along a side of the points that the header's sphere and occlusion point contain.
 const PARTS: u32 = 16;
@@ -31,16 +35,19 @@ pub struct TerrainMesh {
     pub normals: Vec<DVec3>,
     /// Three vertices for each triangle, counter-clockwise seen from above.
     pub triangles: Vec<u32>,
+    /// The water: 0 is land, 255 is water. One byte for the whole tile, or one for each of 256 x 256 cells, from the north-west corner
+    /// along the northern edge; empty for none.
+    pub water: Vec<u8>,
     /// The JSON of the extension `metadata`, such as the tiles that exist below; empty for none.
     pub metadata: String,
 }
 
 /// Returns the bytes of a quantized-mesh tile. Vertices that no triangle uses are left out. Returns `None` for incomplete triangles,
-/// invalid indices, and normals of another number than the vertices.
+/// invalid indices, normals of another number than the vertices, and water of another number of bytes than 1 or 65,536.
 pub fn write_quantized_mesh(mesh: &TerrainMesh) -> Option<Vec<u8>> {
     let count = mesh.vertices.len();
     let has_normals = !mesh.normals.is_empty();
-    if has_normals && mesh.normals.len() != count {
+    if has_normals && mesh.normals.len() != count || ![0, 1, WATER_CELLS].contains(&mesh.water.len()) {
         return None;
     }
     let (indices, old_of_new) = cache_order(&mesh.triangles, count)?;
@@ -88,6 +95,11 @@ pub fn write_quantized_mesh(mesh: &TerrainMesh) -> Option<Vec<u8>> {
         out.push(OCT_VERTEX_NORMALS);
         out.extend((2 * places.len() as u32).to_le_bytes());
         out.extend(old_of_new.iter().flat_map(|old| oct_code(mesh.normals[*old])));
+    }
+    if !mesh.water.is_empty() {
+        out.push(WATER_MASK);
+        out.extend((mesh.water.len() as u32).to_le_bytes());
+        out.extend(&mesh.water);
     }
     if !mesh.metadata.is_empty() {
         let length = u32::try_from(mesh.metadata.len()).ok()?;
@@ -184,6 +196,8 @@ mod tests {
         let mesh = TerrainMesh { vertices: vec![[0.0; 3]; 3], triangles: vec![0, 1, 3], ..TerrainMesh::default() };
         assert!(write_quantized_mesh(&mesh).is_none());
         assert!(write_quantized_mesh(&TerrainMesh { triangles: vec![0, 1], ..mesh.clone() }).is_none());
+        let water = vec![0; 7];
+        assert!(write_quantized_mesh(&TerrainMesh { triangles: vec![0, 1, 2], water, ..mesh.clone() }).is_none());
         let normals = vec![DVec3::Z];
         assert!(write_quantized_mesh(&TerrainMesh { triangles: vec![0, 1, 2], normals, ..mesh }).is_none());
     }

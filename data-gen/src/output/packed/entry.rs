@@ -19,6 +19,8 @@ pub(crate) enum Kind {
     Png = 6,
     Webp = 7,
     Subtree = 8,
+    /// The trees and rocks of a mesh.
+    Scatter = 9,
 }
 
 impl Kind {
@@ -32,6 +34,7 @@ impl Kind {
             "png" => Self::Png,
             "webp" => Self::Webp,
             "subtree" => Self::Subtree,
+            "scatter.glb" => Self::Scatter,
             _ => return None,
         })
     }

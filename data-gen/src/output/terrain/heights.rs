@@ -156,6 +156,24 @@ impl<'a> Heights<'a> {
         Ok(tile)
     }
 
+    /// Returns true if the source knows where water is.
+    pub fn has_water(&self) -> Result<bool, GenError> {
+        self.source.water_depths_m(&[], &[], &mut [])
+    }
+
+    /// Returns the depths of open water at the vertices of a tile in metres, below 0 on land, southern row first. `None` if the source
+    /// does not know them.
+    pub fn water_depths_m(&self, key: TileKey) -> Result<Option<Vec<f32>>, GenError> {
+        let step = TAU / self.grid.cells(self.levels - 1 - key.level) as f64;
+        let first = [key.x, key.y].map(|c| i64::from(c) * CELLS as i64);
+        let along = |from: f64, first: i64| (0..=CELLS as i64).map(|k| from + step * (first + k) as f64).collect();
+        let (longitudes, latitudes): (Vec<f64>, Vec<f64>) =
+            (along(SQUARE.west, first[0]), along(SQUARE.south, first[1]));
+        let mut depths_m = vec![0.0; longitudes.len() * latitudes.len()];
+        let is_known = self.source.water_depths_m(&longitudes, &latitudes, &mut depths_m)?;
+        Ok(is_known.then_some(depths_m))
+    }
+
     /// Returns the vertices of a tile and one around them, on the lattice of its level.
     fn window(&self, key: TileKey) -> Window {
         let cells = self.grid.cells(self.levels - 1 - key.level);

@@ -8,20 +8,23 @@ use super::METADATA_LEVELS;
 use crate::pyramid::TileKey;
 use crate::{Extent, GenArgs};
 
-/// Returns the text of layer.json. `extent` is the rectangle of the source, `tiles` are the tiles of each level.
-pub(super) fn layer_json(args: &GenArgs, extent: &Extent, tiles: &[Vec<TileKey>]) -> String {
+/// Returns the text of layer.json. `extent` is the rectangle of the source, `tiles` are the tiles of each level. With
+/// `has_water` these have masks of water.
+pub(super) fn layer_json(args: &GenArgs, extent: &Extent, tiles: &[Vec<TileKey>], has_water: bool) -> String {
     let wrapped = |longitude: f64| if longitude > 180.0 { longitude - 360.0 } else { longitude };
     let [west, east] = [extent.west, extent.east].map(f64::to_degrees).map(wrapped);
     let bounds = [west, extent.south.to_degrees(), east, extent.north.to_degrees()];
+    let mut extensions = vec!["octvertexnormals"];
+    extensions.extend(has_water.then_some("watermask"));
+    extensions.extend(args.output.tile_availability.then_some("metadata"));
     let mut layer = json!({
         "tilejson": "2.1.0", "version": "1.0.0", "name": "terrain", "format": "quantized-mesh-1.0", "scheme": "tms",
         "projection": "EPSG:4326", "tiles": ["{z}/{x}/{y}.terrain"], "bounds": bounds,
-        "minzoom": 0, "maxzoom": tiles.len().saturating_sub(1), "extensions": ["octvertexnormals"],
+        "minzoom": 0, "maxzoom": tiles.len().saturating_sub(1), "extensions": extensions,
         "available": tiles.iter().map(|keys| ranges(keys)).collect::<Vec<_>>(),
     });
     if args.output.tile_availability {
         layer["metadataAvailability"] = METADATA_LEVELS.into();
-        layer["extensions"] = json!(["octvertexnormals", "metadata"]);
         layer["available"] = tiles.iter().take(1).map(|keys| ranges(keys)).collect();
     }
     if let Some(text) = &args.output.attribution {

@@ -167,7 +167,7 @@ impl TerrainSet<'_> {
                 let reason = "no vertex of the finest level lies on the elevation; more --levels have some";
                 return Err(GenError::invalid(args.dem.first().cloned().unwrap_or_default(), reason));
             }
-            let layer = layer_json(args, &self.extent, &by_level);
+            let layer = layer_json(args, &self.extent, &by_level, heights.has_water()?);
             bytes += write_whole(&folder.join("layer.json"), layer.as_bytes())?;
             journal.sort_tiles()?;
         }
@@ -289,6 +289,7 @@ fn write_tile(
     let range_m = union(own_m, finer_m);
     let path = folder.join(format!("{}/{}/{}.terrain", key.level, key.x, key.y));
     let mut mesh = mesh_of(&tile, key.level, range_m, args.tiles.triangles);
+    mesh.water = heights.water_depths_m(key)?.map_or_else(Vec::new, |depths_m| water_mask(&depths_m));
     if args.output.tile_availability && key.level.is_multiple_of(METADATA_LEVELS) {
         let levels = key.level + 1..(key.level + 1 + METADATA_LEVELS).min(heights.levels());
         let below: Vec<Vec<TileKey>> = levels.map(|level| heights.tiles_below(key, level)).collect();
@@ -300,10 +301,34 @@ fn write_tile(
     Ok(CompleteTile { bytes, range_m, data_m: tile.data_m, own_m, voids: tile.voids, inputs: tile.inputs })
 }
 
+/// The cells of a mask of water along a cell of samples.
+const MASK_CELLS: usize = 256 / CELLS;
+/// The depths in metres, below 0 on land, between which cells are partly water.
+const SHORE_M: std::ops::Range<f32> = -0.15..0.15;
+
+/// Returns the water of a tile from depths at its vertices, southern row first: 0 is land, 255 is water. A number for each of
+/// 256 x 256 cells, northern row first, or one if all are the same.
+fn water_mask(depths_m: &[f32]) -> Vec<u8> {
+    let share = |c: usize| ((c % MASK_CELLS) as f32 + 0.5) / MASK_CELLS as f32;
+    let cell = |row: usize, column: usize| {
+        let at =
+            |right: usize, up: usize| depths_m[(row / MASK_CELLS + up) * (CELLS + 1) + column / MASK_CELLS + right];
+        let (u, v) = (share(column), share(row));
+        let along = |up: usize| at(0, up) + u * (at(1, up) - at(0, up));
+        let depth_m = along(0) + v * (along(1) - along(0));
+        let water = (depth_m - SHORE_M.start) / (SHORE_M.end - SHORE_M.start);
+        (255.0 * water.clamp(0.0, 1.0)).round() as u8
+    };
+    let side = MASK_CELLS * CELLS;
+    let mask: Vec<u8> =
+        (0..side).rev().flat_map(|row| (0..side).map(move |column| (row, column))).map(|(r, c)| cell(r, c)).collect();
+    if mask.iter().all(|water| *water == mask[0]) { vec![mask[0]] } else { mask }
+}
+
 /// Returns the mesh of a tile. Normals are those of the tile's samples, also where there are fewer vertices.
 fn mesh_of(tile: &TileHeights, level: u32, range_m: [f32; 2], triangles: Triangles) -> TerrainMesh {
     let set = heights::SQUARE;
-    let curvature_m = |row: i64| curvature_m(&set, tile.cells, tile.first[1] + row);
+    let curvature_m = |row: i64| curvature_m(&WGS84, &set, tile.cells, tile.first[1] + row);
     let tin = match triangles {
         Triangles::Grid => Tin::grid(|_, _| [true; 2]),
         Triangles::Tin => {

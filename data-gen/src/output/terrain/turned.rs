@@ -53,6 +53,11 @@ impl ElevationSource for Turned<'_> {
         self.source.heights_of_grid(&turned, latitudes, out)
     }
 
+    fn water_depths_m(&self, longitudes: &[f64], latitudes: &[f64], out: &mut [f32]) -> Result<bool, GenError> {
+        let turned: Vec<f64> = longitudes.iter().map(|longitude| self.longitude(*longitude)).collect();
+        self.source.water_depths_m(&turned, latitudes, out)
+    }
+
     fn samples_in(&self, extent: &Extent, call: &mut dyn FnMut(SourceSample)) -> Result<(), GenError> {
         self.source.samples_in(extent, call)?;
         let Some(west) = self.west.filter(|west| extent.west < *west) else { return Ok(()) };

@@ -3,7 +3,7 @@
 //! The triangles of a cell share the diagonal from south-west to north-east. The distances include the bulge of the earth above
 //! flat triangles, which is metres where vertices lie kilometres apart.
 
-use terrane::math::WGS84;
+use terrane::math::Ellipsoid;
 
 use crate::Extent;
 use crate::pyramid::grid::Grid;
@@ -55,8 +55,9 @@ impl Cell {
 }
 
 /// Returns the largest vertical distance in metres between the grid of a tile and the samples of a finer tile inside. `set` is the
-/// rectangle of the set; `height_m` returns the height of a vertex of the coarser tile by its column and row.
+/// rectangle of the set on an ellipsoid; `height_m` returns the height of a vertex of the coarser tile by its column and row.
 pub(crate) fn distance_to_finer_m(
+    ellipsoid: &Ellipsoid,
     set: &Extent,
     key: TileKey,
     height_m: impl Fn(i64, i64) -> f32,
@@ -71,7 +72,7 @@ pub(crate) fn distance_to_finer_m(
     let along = (side / stride).max(1);
     let mut distance_m = 0.0f64;
     for row in y / stride..y / stride + along {
-        let bulge = Bulge::new(set, cells, row * stride, stride);
+        let bulge = Bulge::new(ellipsoid, set, cells, row * stride, stride);
         for column in x / stride..x / stride + along {
             let (i, j) = (column - left, row - low);
             let corners = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(di, dj)| f64::from(height_m(i + di, j + dj)));
@@ -192,19 +193,19 @@ pub(super) struct Bulge {
 impl Bulge {
     /// Returns the bulge over cells of `stride` finest cells whose southern edge is the row `j` of the finest lattice.
     pub fn of_row(grid: &Grid<'_>, j: i64, stride: i64) -> Self {
-        Self::new(&grid.extent, grid.cells(0), j, stride)
+        Self::new(&grid.ellipsoid, &grid.extent, grid.cells(0), j, stride)
     }
 
     /// Like [`Self::of_row`], for a rectangle with a number of finest cells along a side.
-    fn new(e: &Extent, cells: i64, j: i64, stride: i64) -> Self {
+    fn new(ellipsoid: &Ellipsoid, e: &Extent, cells: i64, j: i64, stride: i64) -> Self {
         let (cells, side) = (cells as f64, stride as f64);
         let (d_lon, d_lat) = ((e.east - e.west) / cells * side, (e.north - e.south) / cells * side);
         let south = e.south + (e.north - e.south) * (j as f64 / cells);
         // The latitude at which the cells are widest.
         let latitude = 0f64.clamp(south.min(south + d_lat), south.max(south + d_lat));
-        let east_radius = WGS84.prime_vertical_radius_m(latitude);
-        let flatter = 1.0 - WGS84.eccentricity_squared() * latitude.sin().powi(2);
-        let north_radius = east_radius * (1.0 - WGS84.eccentricity_squared()) / flatter;
+        let east_radius = ellipsoid.prime_vertical_radius_m(latitude);
+        let flatter = 1.0 - ellipsoid.eccentricity_squared() * latitude.sin().powi(2);
+        let north_radius = east_radius * (1.0 - ellipsoid.eccentricity_squared()) / flatter;
         let half_squares = [latitude.cos() * d_lon, d_lat].map(|angle| 0.5 * angle * angle);
         Self { radii_m: [east_radius, north_radius], half_squares }
     }

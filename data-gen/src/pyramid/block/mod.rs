@@ -9,6 +9,8 @@ mod measured;
 
 use std::ops::RangeInclusive;
 
+use terrane::math::Ellipsoid;
+
 use self::cell::Bulge;
 pub(crate) use self::cell::distance_to_finer_m;
 use super::dependencies::Dependencies;
@@ -281,6 +283,11 @@ impl<'a> Block<'a> {
     /// Returns the number of levels of the set.
     pub fn levels(&self) -> u32 {
         self.grid.levels
+    }
+
+    /// Returns the ellipsoid that the set is on.
+    pub fn ellipsoid(&self) -> Ellipsoid {
+        self.grid.ellipsoid
     }
 
     /// Returns the step in metres that heights are rounded to.

@@ -1,6 +1,6 @@
 //! Reefs in warm seas: a wall some way off the coast with passes, and behind it a lagoon with heads of coral.
 
-use super::super::points::{Points, RADIUS_M};
+use super::super::points::Points;
 use super::super::preset::Relief;
 use super::{Ground, Scratch, add_noise, add_octaves, part_seed, reset, smooth};
 
@@ -23,7 +23,7 @@ impl Relief {
             add_octaves(points, wavelength_m, octaves, 0.5, 1.0, part_seed(seed, part), buffer);
         }
         reset(&mut s.detail, n);
-        add_noise(points, RADIUS_M / 60_000.0, part_seed(seed, 54), 1.0, &mut s.detail);
+        add_noise(points, points.radius_m / 60_000.0, part_seed(seed, 54), 1.0, &mut s.detail);
         for k in 0..n {
             let inland = out.inland[k];
             if !near(inland) || out.bed_m[k] > 0.0 {

@@ -18,7 +18,7 @@ pub(crate) struct Covers {
 impl Waters {
     /// Returns the shares of a texel that rivers cover. Narrow ones are drawn a little wider, so that they are not dotted.
     pub fn river_covers(&self, at: [f64; 3], texel_m: f32) -> Covers {
-        let at_m = difference_m(self.middle, at);
+        let at_m = difference_m(self.radius_m, self.middle, at);
         let mut water = 0.0f32;
         for channel in &self.channels {
             if channel.is_farther(at_m, 1.1 * texel_m) {
@@ -34,7 +34,7 @@ impl Waters {
 
     /// Returns the shares of a texel of glaciers. Glaciers carry stones at their sides, and where two have met.
     pub fn glacier_covers(&self, at: [f64; 3], texel_m: f32) -> Covers {
-        let at_m = difference_m(self.middle, at);
+        let at_m = difference_m(self.radius_m, self.middle, at);
         let mut covers = Covers::default();
         let mut nearest_m = f32::MAX;
         for channel in &self.channels {

@@ -2,7 +2,7 @@
 
 #![allow(clippy::needless_range_loop, reason = "one number indexes positions, weights and outputs")]
 
-use super::super::points::{Points, RADIUS_M};
+use super::super::points::Points;
 use super::super::preset::Relief;
 use super::lattice::{LANES, for_blocks, lanes, part};
 use super::{Ground, part_seed};
@@ -74,7 +74,7 @@ impl Relief {
             // Large craters are flatter.
             let flat = 1.0 / (1.0 + cell_m as f32 / 60_000.0);
             let depth = craters * cell_m as f32 * (0.03 + 0.55 * flat);
-            add_craters(points, RADIUS_M / cell_m, part_seed(seed, 60 + octave), share, depth, &mut out.bed_m);
+            add_craters(points, points.radius_m / cell_m, part_seed(seed, 60 + octave), share, depth, &mut out.bed_m);
             cell_m *= 0.5;
             share = 0.8;
         }

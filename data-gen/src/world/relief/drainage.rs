@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use terrane::math::random::mix64;
 
-use super::super::points::{Points, RADIUS_M, sin_cos, unit_vector};
+use super::super::points::{Points, sin_cos, unit_vector};
 use super::{Ground, Relief, Scratch, part_seed};
 
 /// The cells from which a river can reach a place, and those to which the outlet of a lake can lead.
@@ -57,19 +57,21 @@ type Cells<T> = HashMap<Cell, T, BuildHasherDefault<CellHasher>>;
 #[derive(Clone, Debug)]
 pub(crate) struct Drainage {
     spacing_m: f64,
+    /// The radius of the body in metres.
+    radius_m: f64,
     columns: Arc<[i64]>,
 }
 
 impl Drainage {
-    /// Creates the lattice of a spacing in metres.
-    pub fn new(spacing_m: f64) -> Self {
+    /// Creates the lattice of a spacing in metres on a body with a radius in metres.
+    pub fn new(spacing_m: f64, radius_m: f64) -> Self {
         use std::f64::consts::PI;
-        let rows = (PI * RADIUS_M / spacing_m).round().max(1.0);
+        let rows = (PI * radius_m / spacing_m).round().max(1.0);
         let columns = (0..rows as u32).map(|row| {
             let (sin, _) = sin_cos((f64::from(row) + 0.5) / rows * PI);
             (2.0 * rows * sin).round().max(1.0) as i64
         });
-        Self { spacing_m, columns: columns.collect() }
+        Self { spacing_m, radius_m, columns: columns.collect() }
     }
 
     pub fn spacing_m(&self) -> f64 {
@@ -169,6 +171,8 @@ pub(crate) struct Lake {
 pub(crate) struct Waters {
     /// The middle of the cell.
     pub middle: [f64; 3],
+    /// The radius of the body in metres.
+    pub radius_m: f64,
     pub channels: Vec<Channel>,
     pub lakes: Vec<Lake>,
 }
@@ -238,6 +242,7 @@ impl Network {
             });
         }
         let count = CANDIDATES as usize;
+        self.points.radius_m = basin.drainage.radius_m;
         for batch in missing.chunks(512) {
             self.points.clear();
             for cell in batch {
@@ -300,14 +305,14 @@ impl Network {
 
     /// Returns the nearest lower node that the lake of a pit can drain into without crossing a river.
     fn outlet(&mut self, basin: Basin<'_>, pit: Cell) -> Option<Cell> {
-        let from = self.node(basin, pit);
+        let (from, radius_m) = (self.node(basin, pit), basin.drainage.radius_m);
         let cells: Vec<Cell> = basin.drainage.around(pit, OUTLET, OUTLET + 1).filter(|cell| *cell != pit).collect();
         self.add_nodes(basin, cells.iter().copied());
         let mut links = Vec::new();
         let mut lower = Vec::new();
         for &cell in &cells {
             let node = self.nodes[&cell];
-            let way_m = distance_m(from.at, node.at);
+            let way_m = distance_m(radius_m, from.at, node.at);
             if node.level_m < from.level_m && way_m < OUTLET as f32 * basin.drainage.spacing_m as f32 {
                 lower.push((way_m, cell));
             }
@@ -321,7 +326,7 @@ impl Network {
             }
         }
         lower.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let to = |at| difference_m(from.at, at);
+        let to = |at| difference_m(radius_m, from.at, at);
         let is_free = |&(_, target): &(f32, Cell)| {
             let end = to(self.nodes[&target].at);
             links.iter().all(|[(upper, a), (down, b)]| {
@@ -372,7 +377,7 @@ impl Network {
         let course = self.course(basin, cell);
         let down = course.down?;
         let (node, end) = (self.node(basin, cell), self.node(basin, down));
-        let along_m = difference_m(node.at, end.at);
+        let along_m = difference_m(basin.drainage.radius_m, node.at, end.at);
         let length2 = dot(along_m, along_m).max(1.0);
         let (above, below) = (self.lake(basin, cell), self.lake(basin, down));
         let counts = [cell, down].map(|cell| self.gathered(basin, cell, GATHERED));
@@ -397,33 +402,35 @@ impl Network {
 
     fn waters_of(&mut self, basin: Basin<'_>, cell: Cell) -> Waters {
         let own = basin.drainage.middle(cell);
-        let mut waters = Waters { middle: own, ..Waters::default() };
+        let radius_m = basin.drainage.radius_m;
+        let mut waters = Waters { middle: own, radius_m, ..Waters::default() };
         let spacing_m = basin.drainage.spacing_m as f32;
         // Half a diagonal of the cell, the width of valleys, and the bends.
         let reach_m = (0.71 + 0.75 + 0.2) * spacing_m;
         for near in basin.drainage.around(cell, REACH, REACH + 1) {
             // Some are too far away, whatever way they take.
             let node = self.node(basin, near);
-            let far_m = distance_m(own, node.at) - reach_m;
+            let far_m = distance_m(radius_m, own, node.at) - reach_m;
             if far_m > OUTLET as f32 * spacing_m {
                 continue;
             }
             let course = self.course(basin, near);
             if course.is_pit && far_m < 0.0 {
                 let lake = self.lake(basin, near);
-                waters.lakes.extend(lake.map(|lake| Lake { at_m: difference_m(own, lake.at), ..lake }));
+                waters.lakes.extend(lake.map(|lake| Lake { at_m: difference_m(radius_m, own, lake.at), ..lake }));
             }
             if !course.is_pit && far_m > 2.5 * spacing_m {
                 continue;
             }
             let Some(down) = course.down else { continue };
             let end = self.node(basin, down);
-            let (along, to) = (difference_m(node.at, end.at), difference_m(node.at, own));
+            let (along, to) = (difference_m(radius_m, node.at, end.at), difference_m(radius_m, node.at, own));
             let t = (dot(to, along) / dot(along, along).max(1.0)).clamp(0.0, 1.0);
             let off = [0, 1, 2].map(|k| to[k] - t * along[k]);
             if dot(off, off) < reach_m * reach_m {
                 let channel = self.channel(basin, near);
-                let placed = |channel: Channel| Channel { from_m: difference_m(own, channel.from), ..channel };
+                let placed =
+                    |channel: Channel| Channel { from_m: difference_m(radius_m, own, channel.from), ..channel };
                 waters.channels.extend(channel.map(placed));
             }
         }
@@ -431,10 +438,10 @@ impl Network {
     }
 }
 
-/// Returns the way from one place to another in metres.
+/// Returns the way from one place to another in metres, on a body with a radius.
 #[inline(always)]
-pub(super) fn difference_m(from: [f64; 3], to: [f64; 3]) -> [f32; 3] {
-    let along = |k: usize| ((to[k] - from[k]) * RADIUS_M) as f32;
+pub(super) fn difference_m(radius_m: f64, from: [f64; 3], to: [f64; 3]) -> [f32; 3] {
+    let along = |k: usize| ((to[k] - from[k]) * radius_m) as f32;
     // Not `map`, which the compiler does not always inline here: a quarter of the time of a tile was spent in it.
     [along(0), along(1), along(2)]
 }
@@ -459,7 +466,7 @@ fn crosses(at: [f64; 3], end: [f32; 3], a: [f32; 3], b: [f32; 3]) -> bool {
     ends_differ && side(minus(b, a), minus([0.0; 3], a)) * side(minus(b, a), minus(end, a)) < 0.0
 }
 
-fn distance_m(from: [f64; 3], to: [f64; 3]) -> f32 {
-    let way = difference_m(from, to);
+fn distance_m(radius_m: f64, from: [f64; 3], to: [f64; 3]) -> f32 {
+    let way = difference_m(radius_m, from, to);
     dot(way, way).sqrt()
 }

@@ -1,7 +1,7 @@
 //! Dunes: sand that the wind has shaped. Where sand is thin, single barchans with horns downwind lie on bare ground. Where it is
 //! thick, crests lie across the wind, or along it where winds of two seasons meet. Lee sides lie at the angle of repose.
 
-use super::super::points::{Points, RADIUS_M};
+use super::super::points::Points;
 use super::super::preset::Relief;
 use super::barchans::add_barchans;
 use super::noise::Vectors;
@@ -87,7 +87,7 @@ impl Relief {
         // Height of the sand, single dunes first.
         for (k, cell_m) in BARCHANS_M.into_iter().enumerate() {
             let part = part_seed(seed, 40 + k as u32);
-            add_barchans(points, RADIUS_M / cell_m, part, &s.gradient, REPOSE, cell_m as f32, &mut s.noise);
+            add_barchans(points, points.radius_m / cell_m, part, &s.gradient, REPOSE, cell_m as f32, &mut s.noise);
         }
         for k in 0..n {
             let sand = s.sand[k];
@@ -129,7 +129,7 @@ impl Relief {
             let part = part_seed(seed, family.part);
             // Phases and strengths of the waves.
             let (turns, strengths) = (&mut s.noise, &mut s.other);
-            waves(points, RADIUS_M / family.cell_m, part, &s.total, turns, strengths);
+            waves(points, points.radius_m / family.cell_m, part, &s.total, turns, strengths);
             let length_m = family.cell_m as f32 / family.crests;
             let is_large = family.height_m > 0.5 * HEIGHT_M;
             for k in 0..n {
@@ -161,7 +161,7 @@ impl Relief {
     fn set_wind(&self, seed: u64, points: &Points, s: &mut Scratch) {
         let n = points.len();
         reset(&mut s.noise, n);
-        add_noise(points, RADIUS_M / 600_000.0, part_seed(seed, 49), 1.4, &mut s.noise);
+        add_noise(points, points.radius_m / 600_000.0, part_seed(seed, 49), 1.4, &mut s.noise);
         let Vectors { x, y, z } = &mut s.gradient;
         for out in [&mut *x, &mut *y, &mut *z] {
             reset(out, n);
@@ -196,7 +196,7 @@ fn unit(v: [f32; 3]) -> [f32; 3] {
 #[cfg(test)]
 mod tests {
     use super::super::super::planet::RowBuffers;
-    use super::super::super::points::meridians;
+    use super::super::super::points::{RADIUS_M, meridians};
     use super::super::super::{World, WorldPreset};
     use super::*;
 

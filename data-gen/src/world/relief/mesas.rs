@@ -1,6 +1,6 @@
 //! Table mountains: a flat top, a cliff of hard rock, and below it talus at the angle of repose, which ends in the plain.
 
-use super::super::points::{Points, RADIUS_M};
+use super::super::points::Points;
 use super::super::preset::Relief;
 use super::noise::noise_gradient;
 use super::{Ground, REPOSE, Scratch, add_octaves, part_seed, reset, smooth};
@@ -45,7 +45,7 @@ impl Relief {
         let (mut wavelength_m, mut amplitude) = (PATTERN_M, 1.0f32);
         for octave in 0..2 {
             let part = part_seed(seed, 56 + octave);
-            noise_gradient(points, RADIUS_M / wavelength_m, part, &mut s.noise, &mut s.gradient);
+            noise_gradient(points, points.radius_m / wavelength_m, part, &mut s.noise, &mut s.gradient);
             let per_m = amplitude / wavelength_m as f32;
             for k in 0..n {
                 s.strength[k] += amplitude * s.noise[k];

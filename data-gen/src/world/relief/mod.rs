@@ -27,7 +27,7 @@ use rivers::Effects;
 pub(super) use rivers::bent;
 pub(super) use strata::Layer;
 
-use super::points::{Points, RADIUS_M};
+use super::points::Points;
 use super::preset::Relief;
 
 /// The ground of a row of points, and what the colours need to know about it.
@@ -115,7 +115,7 @@ pub(super) fn add_octaves(
     seed: u32,
     out: &mut [f32],
 ) {
-    let (mut frequency, mut amplitude) = (RADIUS_M / wavelength_m, amplitude);
+    let (mut frequency, mut amplitude) = (points.radius_m / wavelength_m, amplitude);
     for octave in 0..octaves {
         add_noise(points, frequency, seed.wrapping_add(octave.wrapping_mul(0x3c6e_f372)), amplitude, out);
         frequency *= 2.03;

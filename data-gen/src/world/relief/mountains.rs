@@ -1,6 +1,6 @@
 //! Ranges of mountains, with crests and gullies.
 
-use super::super::points::{Points, RADIUS_M};
+use super::super::points::Points;
 use super::super::preset::Relief;
 use super::noise::{add_noise, noise_gradient};
 use super::waves::stripes;
@@ -65,7 +65,7 @@ impl Relief {
         reset(&mut s.slope, n);
         let (mut wavelength_m, mut amplitude) = (self.massif_m, 1.0f32);
         for octave in 0..4 {
-            let frequency = RADIUS_M / wavelength_m;
+            let frequency = points.radius_m / wavelength_m;
             noise_gradient(points, frequency, part_seed(seed, 10 + octave), &mut s.noise, &mut s.gradient);
             // Metres of height for each metre of distance, if amplitudes are heights.
             let rise = amplitude * self.mountain_m / wavelength_m as f32;
@@ -118,7 +118,7 @@ impl Relief {
         for octave in 0..3 {
             reset(&mut s.noise, points.len());
             let part = part_seed(seed, 26 + octave);
-            add_noise(points, RADIUS_M / wavelength_m, part, 1.0, &mut s.noise);
+            add_noise(points, points.radius_m / wavelength_m, part, 1.0, &mut s.noise);
             for ((detail, strength), noise) in s.detail.iter_mut().zip(&s.strength).zip(&s.noise) {
                 *detail += amplitude * strength * (0.35 - noise.abs());
             }
@@ -149,7 +149,7 @@ impl Relief {
             }
             stripes(
                 points,
-                RADIUS_M / wavelength_m,
+                points.radius_m / wavelength_m,
                 part_seed(seed, 20 + octave),
                 &s.across,
                 &mut s.noise,

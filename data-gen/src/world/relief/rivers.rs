@@ -1,6 +1,6 @@
 //! Cuts the valleys of rivers and the basins of lakes into the ground along a row.
 
-use super::super::points::{Points, RADIUS_M};
+use super::super::points::Points;
 use super::super::preset::{Flow, Relief};
 use super::drainage::{Cell, Channel, Lake, Network, Waters, difference_m, dot, minus};
 use super::lattice::{LANES, Lanes, lanes};
@@ -285,7 +285,8 @@ impl Relief {
         out: &mut Ground,
     ) {
         let spacing_m = self.rivers.spacing_m as f32;
-        effects.set_places(places.clone().map(|k| difference_m(waters.middle, bent(points.at(k), out.bend_m.at(k)))));
+        let at = |k: usize| bent(points.radius_m, points.at(k), out.bend_m.at(k));
+        effects.set_places(places.clone().map(|k| difference_m(waters.radius_m, waters.middle, at(k))));
         let ground_m = &out.bed_m[places.clone()];
         for channel in &waters.channels {
             match self.rivers.flow {
@@ -357,7 +358,7 @@ impl Relief {
         let Ground { bend_m, .. } = out;
         for (k, bend) in [&mut bend_m.x, &mut bend_m.y, &mut bend_m.z].into_iter().enumerate() {
             for (octave, (length, strength)) in [(0.7, 0.16), (0.22, 0.05), (0.08, 0.014)].into_iter().enumerate() {
-                let frequency = RADIUS_M / (length * self.rivers.spacing_m);
+                let frequency = points.radius_m / (length * self.rivers.spacing_m);
                 let amplitude_m = (strength * self.rivers.spacing_m) as f32;
                 add_noise(points, frequency, part_seed(seed, 110 + 3 * k as u32 + octave as u32), amplitude_m, bend);
             }
@@ -365,16 +366,16 @@ impl Relief {
     }
 }
 
-/// Returns a point moved by a bend in metres.
-pub(crate) fn bent(at: [f64; 3], bend_m: [f32; 3]) -> [f64; 3] {
-    let along = |axis: usize| at[axis] + f64::from(bend_m[axis]) / RADIUS_M;
+/// Returns a point of the unit sphere moved by a bend in metres, on a body with a radius.
+pub(crate) fn bent(radius_m: f64, at: [f64; 3], bend_m: [f32; 3]) -> [f64; 3] {
+    let along = |axis: usize| at[axis] + f64::from(bend_m[axis]) / radius_m;
     [along(0), along(1), along(2)]
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::super::planet::RowBuffers;
-    use super::super::super::points::meridians;
+    use super::super::super::points::{RADIUS_M, meridians};
     use super::super::super::{World, WorldPreset};
     use super::*;
 

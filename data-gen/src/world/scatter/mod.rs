@@ -7,7 +7,7 @@ mod models;
 
 use terrane::formats::writers::glb_container;
 use terrane::math::random::mix64;
-use terrane::math::{Geodetic, WGS84};
+use terrane::math::{Ellipsoid, Geodetic};
 
 use super::World;
 use super::relief::smooth;
@@ -44,6 +44,7 @@ struct Instance {
 #[derive(Debug)]
 pub(super) struct Scatter {
     origin: Geodetic,
+    ellipsoid: Ellipsoid,
     instances: [Vec<Instance>; Kind::ALL.len()],
 }
 
@@ -113,7 +114,7 @@ impl Scatter {
             latitude: lattice.latitude(middle),
             height_m: f64::from(patch.surface_m(middle, middle)),
         };
-        let mut scatter = Self { origin, instances: Default::default() };
+        let mut scatter = Self { origin, ellipsoid: world.ellipsoid, instances: Default::default() };
         scatter.add(world, patch, Sites::new(root, MAX_SPACING_M), false);
         if lattice.step_m() <= MAX_FINE_CELL_M {
             scatter.add(world, patch, Sites::new(root, MAX_FINE_SPACING_M), true);
@@ -124,7 +125,7 @@ impl Scatter {
     /// Adds what stands on the sites of a lattice.
     fn add(&mut self, world: &World, patch: &Patch, sites: Sites, is_fine: bool) {
         let lattice = patch.lattice();
-        let local_from_ecef = WGS84.ecef_from_enu(&self.origin).inverse();
+        let local_from_ecef = self.ellipsoid.ecef_from_enu(&self.origin).inverse();
         let seed = if is_fine { world.seed ^ FINE_SEED } else { world.seed };
         for ([x, y], bits) in sites.within(lattice, seed) {
             let more = mix64(bits);
@@ -136,7 +137,7 @@ impl Scatter {
                 latitude: lattice.at_latitude(y),
                 height_m: f64::from(ground.surface_m),
             };
-            let [east, north, up] = local_from_ecef.transform_point3(WGS84.ecef(&place)).to_array();
+            let [east, north, up] = local_from_ecef.transform_point3(self.ellipsoid.ecef(&place)).to_array();
             // Roots reach below the ground, which is not level.
             let sunk_m = if is_fine { 0.05 } else { 0.4 * f64::from(ground.slope.min(1.0)) };
             self.instances[kind as usize].push(Instance {

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::{Scatter, WGS84, glb_container};
+use super::{Scatter, glb_container};
 
 /// What stands on a site.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -178,7 +178,7 @@ pub(super) fn glb(scatter: &Scatter) -> Vec<u8> {
         return glb_container(&json!({ "asset": asset, "scene": 0, "scenes": [{}] }), &[]);
     }
     // From east, up and south to the earth's axes, which glTF turns so that y is up.
-    let frame = WGS84.ecef_from_enu(&scatter.origin);
+    let frame = scatter.ellipsoid.ecef_from_enu(&scatter.origin);
     let axes = [frame.matrix3.x_axis, frame.matrix3.z_axis, -frame.matrix3.y_axis, frame.translation];
     let matrix: Vec<f64> =
         axes.iter().zip([0.0, 0.0, 0.0, 1.0]).flat_map(|(axis, w)| [axis.x, axis.z, -axis.y, w]).collect();

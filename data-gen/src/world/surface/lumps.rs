@@ -3,7 +3,7 @@
 //! Lumps have sizes of their own, whatever the level is, so that those of a level are also on the next finer one. Each size is drawn by
 //! the levels on which a lump has several texels and fewer than a hundred.
 
-use super::super::points::{Points, RADIUS_M};
+use super::super::points::Points;
 use super::super::relief::{LANES, add_noise, for_blocks, part, part_seed, smooth};
 
 /// The distances between lumps in metres: crowns, bushes and boulders, tufts and stones, pebbles.
@@ -43,7 +43,7 @@ impl Details {
         for (k, (size_m, share)) in (0..).zip(LUMPS_M.into_iter().zip(shares)) {
             if share > 0.0 {
                 let seed = part_seed(seed, 92 + k);
-                add_lumps(points, RADIUS_M / size_m, seed, share / all, &mut self.dome, &mut self.tone);
+                add_lumps(points, points.radius_m / size_m, seed, share / all, &mut self.dome, &mut self.tone);
             }
         }
         for (k, length_m) in (0..).zip(RIPPLES_M) {
@@ -58,8 +58,8 @@ impl Details {
     fn add_ripples(&mut self, seed: u32, points: &Points, length_m: f64, share: f32) {
         self.noise.clear();
         self.noise.resize(points.len(), 0.0);
-        add_noise(points, RADIUS_M / (9.0 * length_m), seed, 1.4, &mut self.noise);
-        let per_m = RADIUS_M / length_m;
+        add_noise(points, points.radius_m / (9.0 * length_m), seed, 1.4, &mut self.noise);
+        let per_m = points.radius_m / length_m;
         for (k, ripple) in self.ripple.iter_mut().enumerate() {
             let [x, y, z] = points.at(k);
             let turns = (x * ACROSS[0] + y * ACROSS[1] + z * ACROSS[2]) * per_m + f64::from(self.noise[k]);
@@ -111,7 +111,7 @@ fn add_lumps(points: &Points, frequency: f64, seed: u32, amplitude: f32, dome: &
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::points::meridians;
+    use super::super::super::points::{RADIUS_M, meridians};
     use super::*;
 
     fn row(step_m: f64) -> Points {

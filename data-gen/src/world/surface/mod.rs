@@ -5,5 +5,5 @@ mod colors;
 mod lumps;
 mod patch;
 
-pub(super) use climate::{WINDWARD, Weather};
+pub(super) use climate::{FROZEN_C, WINDWARD_M, Weather};
 pub(super) use patch::{Lattice, MARGIN, Patch, Site, TEXELS_PER_CELL};

@@ -2,12 +2,12 @@
 //!
 //! Climate and the long waves of the colours' variation are computed at every fourth sample and interpolated.
 
-use super::super::planet::{RowBuffers, World, windward};
-use super::super::points::{Points, RADIUS_M, meridians, sin_cos};
+use super::super::planet::{RowBuffers, World};
+use super::super::points::{Points, meridians, sin_cos};
 use super::super::preset::Flow;
 use super::super::relief::{Covers, Ground, add_noise, add_octaves, bent, part_seed, smooth, wide};
 use super::super::tiles::rounded;
-use super::climate::{LAPSE_C, Weather};
+use super::climate::{FROZEN_C, LAPSE_C, Weather};
 use super::colors::{Texels, wetness, wood};
 use super::lumps::Details;
 
@@ -33,6 +33,8 @@ pub(crate) struct Lattice {
     pub steps: f64,
     pub column: i64,
     pub row: i64,
+    /// The radius of the body in metres.
+    pub radius_m: f64,
 }
 
 impl Lattice {
@@ -56,7 +58,7 @@ impl Lattice {
 
     /// Returns the distance between rows in metres.
     pub fn step_m(&self) -> f64 {
-        self.side[1] / self.steps * RADIUS_M
+        self.side[1] / self.steps * self.radius_m
     }
 }
 
@@ -87,7 +89,7 @@ fn add_variation(points: &Points, seed: u32, range_m: std::ops::Range<f64>, ampl
     let mut wavelength_m = VARIATION_M;
     for octave in 0..VARIATIONS {
         if range_m.contains(&wavelength_m) {
-            add_noise(points, RADIUS_M / wavelength_m, seed.wrapping_add(octave), amplitude, out);
+            add_noise(points, points.radius_m / wavelength_m, seed.wrapping_add(octave), amplitude, out);
         }
         wavelength_m *= 0.25;
     }
@@ -129,9 +131,9 @@ impl Patch {
     /// Returns the share of open water in each cell inside of the margin, 0 to 255, northern row first. The colours were painted before.
     pub fn water(&self, world: &World) -> Vec<u8> {
         let s = &self.samples;
-        let is_wet = world.parameters.climate.has_life && world.parameters.relief.rivers.flow != Flow::Dry;
+        let is_wet = world.has_water();
         let water = |at: usize| {
-            let is_frozen = s.sea_level_c[at] + 2.0 * s.patch[at] < -10.0;
+            let is_frozen = s.sea_level_c[at] + 2.0 * s.patch[at] < FROZEN_C;
             if is_wet && !is_frozen { smooth(-0.15, 0.15, s.depth_m[at]) } else { 0.0 }
         };
         let cells = self.stride - 1 - 2 * MARGIN;
@@ -181,7 +183,7 @@ impl Patch {
         for row in MARGIN - 1..stride - MARGIN + 1 {
             let latitude = lattice.latitude(row as i64 - MARGIN as i64);
             let cos = sin_cos(latitude).1.max(0.02);
-            let east_m = (lattice.side[0] / lattice.steps * RADIUS_M * cos) as f32;
+            let east_m = (lattice.side[0] / lattice.steps * lattice.radius_m * cos) as f32;
             let (per_east, per_north) = (0.5 / east_m, 0.5 / north_m);
             let far = MARGIN - 1;
             let per_open = [1.0 / north_m, 1.0 / (far as f32 * north_m)];
@@ -203,8 +205,8 @@ impl Patch {
         let cell_m = lattice.step_m();
         let coarse = stride.div_ceil(COARSE);
         let columns = || (0..coarse as i64).map(|k| lattice.longitude(k * COARSE as i64 - MARGIN as i64));
-        let (meridians_here, meridians_windward) = (meridians(columns()), windward(columns()));
-        let mut points = Points::default();
+        let (meridians_here, meridians_windward) = (meridians(columns()), world.windward(columns()));
+        let mut points = Points::on(lattice.radius_m);
         let mut ground = Ground::default();
         let mut weather = Weather::default();
         let mut fields: [Vec<f32>; 3] = Default::default();
@@ -259,7 +261,7 @@ impl Patch {
                 if waters.as_ref().is_none_or(|(last, _)| *last != cell) {
                     waters = buffers.network.waters(cell).map(|found| (cell, found)).or(waters);
                 }
-                let at = bent(points.at(k), [x[k], y[k], z[k]]);
+                let at = bent(points.radius_m, points.at(k), [x[k], y[k], z[k]]);
                 covers = match &waters {
                     Some((_, waters)) if basin.relief.rivers.flow == Flow::Ice => waters.glacier_covers(at, texel_m),
                     Some((_, waters)) => waters.river_covers(at, texel_m),
@@ -290,7 +292,7 @@ impl Patch {
         texels.all().into_iter().for_each(|buffer| buffer.resize(side, 0.0));
         let mut line = vec![0.0f32; stride];
         let mut colors: [Vec<f32>; 3] = Default::default();
-        let mut points = Points::default();
+        let mut points = Points::on(lattice.radius_m);
         let mut details = Details::default();
         let seed = part_seed(world.seed, 90);
         let texel_m = lattice.step_m() / TEXELS_PER_CELL as f64;

@@ -186,7 +186,7 @@ fn scaled_samples_are_converted_to_metres() {
 
 /// Regression: files of other bodies were taken for the earth.
 #[test]
-fn positions_off_the_earth_are_refused() {
+fn positions_on_two_bodies_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let on = |name: &str, axis: u16| {
         let keys = [[2056, 32767], [2057, axis]];
@@ -194,7 +194,7 @@ fn positions_off_the_earth_are_refused() {
     };
     check_placement(&on("earth.tif", 0), PLACE.bounds(), None);
     let moon = on("moon.tif", 1);
-    refused(&moon, &moon.dem[0], "an ellipsoid of 1737400 m is not the earth's");
+    refused(&moon, &moon.dem[0], "an ellipsoid of 1737400 m in a system of another one");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 /// The finest level.
 const MAX_LEVEL: u32 = 25;
 /// The kinds of files by the ends of their names; the code of a kind is its place.
-const KINDS: [&str; 9] = ["tileset", "heights", "exr", "glb", "json", "jpg", "png", "webp", "subtree"];
+const KINDS: [&str; 10] = ["tileset", "heights", "exr", "glb", "json", "jpg", "png", "webp", "subtree", "scatter.glb"];
 
 /// Returns the key of a file by its name inside the set: `tileset.json`, `LEVEL/X/Y.KIND` or `subtrees/LEVEL/X/Y.subtree`. Returns
 /// `None` for other names, which no packed set has.
@@ -51,6 +51,7 @@ mod tests {
             ("3/7/0.json", key(3, 0b010101, 4)),
             ("25/33554431/33554431.webp", key(25, (1 << 50) - 1, 7)),
             ("subtrees/5/0/1.subtree", key(5, 2, 8)),
+            ("2/1/3.scatter.glb", key(2, 0b1011, 9)),
             ("26/0/0.heights", None),
             ("1/2/0.heights", None),
             ("1/0/0.tileset", None),
