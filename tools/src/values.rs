@@ -2,8 +2,8 @@
 
 use std::str::FromStr;
 
-use terrane::math::{Ellipsoid, MARS, MOON, WGS84};
 use terrane::viewer::ViewFrom;
+pub use terrane_data_gen::BodyArg;
 
 /// The longest side of a frame, a texture size that every adapter has.
 const MAX_SIDE_PX: u32 = 8192;
@@ -172,30 +172,6 @@ impl FromStr for SunFrom {
     }
 }
 
-/// The ellipsoid of a body, by its name or its radii in metres.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BodyArg(pub Ellipsoid);
-
-impl FromStr for BodyArg {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text.to_ascii_lowercase().as_str() {
-            "earth" => return Ok(Self(WGS84)),
-            "moon" => return Ok(Self(MOON)),
-            "mars" => return Ok(Self(MARS)),
-            _ => {}
-        }
-        let radii: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
-        let radii_m = match radii.as_deref() {
-            Some(&[x, y, z]) => [x, y, z],
-            Some(&[equator, pole]) => [equator, equator, pole],
-            _ => return Err("expected earth, moon, mars, or radii in metres such as 1737400,1737400".to_owned()),
-        };
-        Ellipsoid::from_radii_m(radii_m).map(Self).map_err(|error| error.to_string())
-    }
-}
-
 /// A colour as six hexadecimal digits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rgb(pub [u8; 3]);
@@ -218,6 +194,7 @@ impl FromStr for Rgb {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use terrane::math::{MARS, MOON};
 
     #[test]
     fn values_are_parsed() {

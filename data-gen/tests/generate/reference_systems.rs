@@ -202,6 +202,11 @@ fn projections_of_epsg_agree_with_proj() {
         ("+proj=nonsense", "+proj=nonsense"),
         ("+proj=geocent +datum=WGS84", "only geographic and projected"),
         ("+proj=longlat +R=12", "radii [12.0, 12.0, 12.0]"),
+        (
+            r#"GEOGCS["Mars (2015) / Ocentric",DATUM["Mars (2015)",SPHEROID["Mars (2015)",3396190,169.894447223612]],
+            PRIMEM["Reference Meridian",0],UNIT["degree",0.0174532925199433]]"#,
+            "planetocentric latitudes",
+        ),
     ] {
         let error = Crs::parse(text).unwrap_err();
         assert!(error.contains(why), "{error}");
@@ -388,6 +393,12 @@ fn elevation_of_other_bodies_lies_on_them() {
         run(&args).unwrap();
         assert_eq!(radii(&args), serde_json::json!([1_737_400.0, 1_737_400.0, 1_737_400.0]));
     }
+    // A sphere of GeoKeys.
+    let keys = [[1024, 2], [2048, 32767], [2057, 1]];
+    let keyed = from_dem(folder.path(), "keys.tif", &tiff_int16_keyed(&heights(), None, &keys));
+    world(&keyed.dem[0], ([23.405, 0.9], 0.01));
+    run(&GenArgs { levels: Some(1), ..keyed.clone() }).unwrap();
+    assert_eq!(tileset(&keyed.out)["extensions"]["3DTILES_ellipsoid"]["body"], "Moon");
     // Degrees without a body are those of the one that is given.
     let mut plain = grid("plain", "");
     plain.output.body = Some("mars".parse().unwrap());

@@ -347,6 +347,7 @@ fn height_tiles_have_measured_errors() {
     let found = verified(&args.out);
     assert_eq!((found.contents, found.failed, found.problems.len()), (5, 0, 0), "{:?}", found.problems);
     let set = tileset(&args.out);
+    assert!(set["geometricError"].as_f64() > Some(79_000.0), "a client that draws nothing is off by the set");
     let declared = &set["asset"]["extras"]["terrane"]["level_errors_m"];
     assert_eq!(
         declared.as_array().unwrap().iter().map(|e| e.as_f64().unwrap()).collect::<Vec<_>>(),
@@ -408,6 +409,10 @@ fn worlds_are_made_of_shards() {
         match archive {
             Some(_) => assert!(std::fs::read(&merged.out).unwrap() == std::fs::read(&whole.out).unwrap()),
             None => assert!(files_below(&merged.out) == files_below(&whole.out)),
+        }
+        if tiling == Tiling::Implicit {
+            // Clients of implicit tilings read one content by this name only.
+            assert_eq!(tileset(&merged.out)["root"]["content"]["uri"], "{level}/{x}/{y}.glb");
         }
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2 * (k + 1), "two sets of each kind");
     }

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use clap::Args as ClapArgs;
-use terrane_data_gen::{ContentKind, Tiling, WorldPreset};
+use terrane::math::{Ellipsoid, WGS84};
+use terrane_data_gen::{BodyArg, ContentKind, Tiling, World, WorldPreset};
 
 use super::faults::Fault;
 use crate::values::{amount, share};
@@ -17,6 +18,9 @@ pub struct ServeArgs {
     /// Serve a planet of 22 levels from --seed instead of a folder. Its tiles are made when they are requested
     #[arg(long, value_enum, value_name = "PRESET")]
     pub procedural: Option<WorldPreset>,
+    /// Body of the planet: moon, mars, or radii in metres as EQUATORxPOLE or XxYxZ
+    #[arg(long, requires = "procedural")]
+    pub body: Option<BodyArg>,
     /// Put trees and rocks on the planet
     #[arg(long, requires = "procedural")]
     pub scatter: bool,
@@ -84,10 +88,18 @@ pub struct ServeArgs {
 }
 
 impl ServeArgs {
+    /// Returns the ellipsoid of the planet of --procedural.
+    pub(super) fn ellipsoid(&self) -> Ellipsoid {
+        self.body.map_or(WGS84, |body| body.0)
+    }
+
     /// Checks combinations of arguments.
     pub fn check(&self) -> Result<(), String> {
         if self.content == ContentKind::QuantizedMesh {
             return Err("--content quantized-mesh is not supported with --procedural; height and mesh are".to_owned());
+        }
+        if !World::can_lie_on(&self.ellipsoid()) {
+            return Err("--body: radii of worlds are 10 to 20,000 km".to_owned());
         }
         let all: f64 = self.rates().iter().map(|(rate, _)| rate).sum();
         if all <= 1.0 { Ok(()) } else { Err(format!("the rates are {all} together, more than 1")) }
@@ -111,6 +123,7 @@ impl ServeArgs {
         Self {
             folder: Some(folder.into()),
             procedural: None,
+            body: None,
             scatter: false,
             content: ContentKind::default(),
             tiling: Tiling::default(),

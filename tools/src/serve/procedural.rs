@@ -24,7 +24,7 @@ pub(super) struct Procedural {
 impl Procedural {
     pub(super) fn new(preset: WorldPreset, args: &ServeArgs) -> Self {
         let form = GenArgs { content: args.content, ..GenArgs::new("") };
-        let set = WorldSet::globe(World::new(preset, args.seed), LEVELS).with_form_of(&form);
+        let set = WorldSet::globe(World::on(preset, args.seed, args.ellipsoid()), LEVELS).with_form_of(&form);
         let set = if args.scatter { set.with_scatter() } else { set };
         Self { set, tiling: args.tiling, kept: Mutex::default() }
     }

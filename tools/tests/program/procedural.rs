@@ -6,6 +6,7 @@ use std::process::Command;
 use crate::serve::served::Server;
 use kit::skip::no_adapter;
 use serde_json::Value;
+use terrane::math::MARS;
 use terrane_data_gen::{ContentKind, GenArgs, TileKey, World, WorldPreset, WorldSet};
 
 #[test]
@@ -40,6 +41,7 @@ fn planet_with_implicit_tiling_has_subtrees_instead_of_tilesets() {
     let (_, _, body) = server.ask("GET", "/tileset.json", "");
     let tileset: Value = serde_json::from_slice(&body).unwrap();
     assert_eq!(tileset["root"]["implicitTiling"]["availableLevels"], 22, "{tileset}");
+    assert_eq!(tileset["root"]["content"]["uri"], "{level}/{x}/{y}.exr");
     let (status, _, body) = server.ask("GET", "/subtrees/15/700/900.subtree", "");
     let (_, expected) = set.subtree(TileKey { level: 15, x: 700, y: 900 }).unwrap();
     assert!(status == 200 && body == expected);
@@ -58,6 +60,18 @@ fn rocks_are_served_on_fine_levels_with_scatter() {
     let (status, head, body) = server.ask("GET", "/14/9000/9000.glb", "");
     assert!(status == 200 && body == rocks && head.contains("model/gltf-binary"), "{head}");
     assert_eq!(server.ask("GET", "/12/2000/2000.glb", "").0, 404, "cells of 76 m have none");
+}
+
+#[test]
+fn planet_lies_on_the_body_that_is_named() {
+    let server = Server::start(Path::new(""), &["--procedural", "mars", "--body", "mars"]);
+    let (_, _, body) = server.ask("GET", "/tileset.json", "");
+    let tileset: Value = serde_json::from_slice(&body).unwrap();
+    assert_eq!(tileset["extensions"]["3DTILES_ellipsoid"]["radii"][2], 3_376_200.0, "{tileset}");
+    let tile =
+        WorldSet::globe(World::on(WorldPreset::Mars, 1, MARS), 22).tile(TileKey { level: 17, x: 70_000, y: 90_000 });
+    let (status, _, body) = server.ask("GET", "/17/70000/90000.exr", "");
+    assert!(status == 200 && body == tile.unwrap().file("exr").unwrap());
 }
 
 #[test]
