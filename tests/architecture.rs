@@ -1,5 +1,5 @@
-//! The layout of the source: the direction of imports between the folders of `src`, circles of imports inside folders, and in
-//! all code of the workspace the number of Rust files per folder and the length of files.
+//! The layout of the source: the direction of imports between the folders of `src`, and circles of imports inside folders. In all
+//! code of the workspace: the number of Rust files per folder, and the length of files.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use std::collections::{BTreeMap, BTreeSet};

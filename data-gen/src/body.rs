@@ -10,7 +10,7 @@ use terrane::math::{Ellipsoid, MARS, MOON, WGS84};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BodyArg(pub Ellipsoid);
 
-/// Bodies with names on the command line.
+/// Bodies with names, on the command line and in tilesets.
 const NAMED: [(&str, Ellipsoid); 3] = [("Earth", WGS84), ("Moon", MOON), ("Mars", MARS)];
 /// Radii that differ by at most this are the same, metres.
 const SAME_M: f64 = 0.5;
@@ -32,15 +32,15 @@ impl FromStr for BodyArg {
     }
 }
 
-/// Returns true for ellipsoids that differ in rounding only.
+/// Returns true for ellipsoids whose radii differ by at most half a metre.
 pub(crate) fn is_same(a: &Ellipsoid, b: &Ellipsoid) -> bool {
     (a.radii_m() - b.radii_m()).abs().max_element() <= SAME_M
 }
 
-/// Adds the extension 3DTILES_ellipsoid to a tileset on another body than the earth.
+/// Adds the extension 3DTILES_ellipsoid to a tileset on another ellipsoid than WGS84.
 pub(crate) fn declare(ellipsoid: &Ellipsoid, tileset: &mut Value) {
-    let named = NAMED.iter().find(|(_, named)| named == ellipsoid);
-    // The radii were checked before.
+    let named = NAMED.iter().find(|(_, named)| is_same(named, ellipsoid));
+    // An ellipsoid has valid radii.
     if let Ok(body) = Body::new(named.map(|(name, _)| (*name).to_owned()), ellipsoid.radii_m().to_array()) {
         body.declare_in(tileset);
     }

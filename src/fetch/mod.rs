@@ -54,7 +54,9 @@ pub use http::{AllowedHost, Credential, HttpBody, HttpClient, HttpConfig, StoreO
 pub use hung_reads::HungReads;
 pub(crate) use limits::JSON_OBJECT_BYTES;
 pub use limits::Limits;
-pub(crate) use memory::{BudgetUse, ByteBudget, LargeContents, LoadRoom, Permit, about_to_allocate, gated};
+pub(crate) use memory::{
+    BudgetUse, ByteBudget, ContentMemory, LargeContents, LoadRoom, Permit, about_to_allocate, gated,
+};
 #[cfg(feature = "http")]
 pub(crate) use memory::{Claim, NoRoom};
 #[cfg(feature = "object-store")]

@@ -16,7 +16,7 @@ use crate::scene::{BlockFormats, Node, ReaderData, SharedStateManager};
 
 /// The maximum number of times that a loader asks for further dependencies of a content: an i3dm refers to a model, and the
 /// model to its buffers.
-/// An overlay may have a document, and a few coarser levels in place of missing images.
+/// An overlay may have a document, and asks for a few coarser levels where images are missing.
 pub(crate) const MAX_DEPENDENCY_ROUNDS: usize = 10;
 
 /// Options that all reads of a tile set share.

@@ -106,7 +106,7 @@ pub struct SceneArgs {
     /// Drape images over the terrain
     #[arg(long = "overlay", value_name = "ADDRESS[,KEY=VALUE...]", help = OVERLAY_HELP)]
     pub overlays: Vec<OverlayArg>,
-    /// The body of a set that names none, and of globe: earth, moon, mars, or radii in metres as EQUATOR,POLE or X,Y,Z
+    /// The body of a set that names none, and of globe: earth, moon, mars, or radii in metres as EQUATORxPOLE or XxYxZ
     /// [default: earth]
     #[arg(long, value_name = "NAME|RADII")]
     pub body: Option<BodyArg>,
@@ -273,10 +273,10 @@ impl From<ViewArgs> for Box<FlyArgs> {
     }
 }
 
-/// What the colours of a map mean.
+/// The values that the colours of a map stand for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum MapOf {
-    /// The finest level at each place
+    /// The finest level at each point
     #[default]
     Levels,
     /// The error of the finest tile that has one: with --verify the measured one where it is known

@@ -97,7 +97,7 @@ impl TerrainRow {
     /// Creates the row. `u` is the position of the first and the last texel, 0..1 over the set.
     fn new(surface: &Surface<'_>, extent: &Extent, ellipsoid: &Ellipsoid, u: [f64; 2]) -> Self {
         let mean_lat = 0.5 * (extent.south + extent.north);
-        // That of the earth is 6371 km here: colours of older sets stay.
+        // The earth has a radius of 6371 km here, so that the colours of older sets stay the same.
         let radius_m = ellipsoid.semi_major_m * (6_371_000.0 / WGS84.semi_major_m);
         let sides_m =
             [radius_m * mean_lat.cos() * (extent.east - extent.west), radius_m * (extent.north - extent.south)];

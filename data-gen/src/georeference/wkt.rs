@@ -125,7 +125,7 @@ pub(super) fn crs(text: &str) -> Result<Crs, String> {
     }
     let found = with_datum(&found, &text).unwrap_or(found);
     let projection = Projection::new(&found)?;
-    // Those of Mars differ from geodetic ones by up to 20 km. The IAU's systems say it in their names.
+    // Planetocentric latitudes of Mars differ from geodetic ones by up to 20 km. The IAU's systems have them in their names.
     let lower = text.to_lowercase();
     let is_centric =
         ["planetocentric", "cs[spherical", "ocentric\"", "/ ocentric"].iter().any(|part| lower.contains(part));

@@ -85,7 +85,7 @@ impl<'a> Grid<'a> {
         }
     }
 
-    /// Places the grid on another ellipsoid than the earth's.
+    /// Returns the grid on another ellipsoid than the earth's.
     pub fn on(self, ellipsoid: Ellipsoid) -> Self {
         Self { ellipsoid, ..self }
     }

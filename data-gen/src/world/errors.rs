@@ -1,12 +1,13 @@
-//! The errors of the levels of a set, estimated from places that are measured. A run measures all its tiles against the finest ones
-//! instead, and takes the estimate of the finest level only; servers, which do not know all tiles, declare the estimates.
+//! The errors of the levels of a set, estimated from samples of the surface. A run measures each
+//! tile against the finest tiles below it instead, and takes the estimate of the finest level only; servers, which do not know all
+//! tiles, declare the estimates.
 //!
 //! The difference between the triangles of a level and the surface itself is measured along rows of cells: in those rows of the most
 //! uneven tiles whose samples bend most, and then in the rows beside the worst one, as long as they are worse. A level's error is the largest
-//! difference with a factor for places that were not measured, but at most the relief of the world, and the bulge of the earth above
+//! difference with a factor for what was not measured, but at most the relief of the world, and the bulge of the earth above
 //! flat triangles. Levels without rivers have the depth of valleys besides. An error is at least the size of a small texel, so that
 //! images of flat ground are sharp near the eye, and a little larger than that of the next level, so that none is skipped. The tests compare with
-//! other places.
+//! other samples.
 
 use rayon::prelude::*;
 use terrane::math::random::SplitMix64;

@@ -44,7 +44,7 @@ impl World {
         Self { seed, parameters, ellipsoid, drainage }
     }
 
-    /// Returns true for bodies that worlds may be on: noise has so many waves around larger ones that numbers overflow.
+    /// Returns true for bodies on which worlds can be made. On larger ones the numbers of noise cells overflow.
     pub fn can_lie_on(ellipsoid: &Ellipsoid) -> bool {
         RADII_M.contains(&ellipsoid.semi_major_m)
     }
@@ -109,7 +109,7 @@ impl World {
         self.parameters.climate.has_life && self.parameters.relief.rivers.flow != Flow::Dry
     }
 
-    /// Returns true if the sea at a latitude is ice in most places.
+    /// Returns true if most of the sea at a latitude is ice.
     pub(super) fn is_sea_frozen(&self, latitude: f64) -> bool {
         self.parameters.climate.mean_c(sin_cos(latitude).0.abs() as f32) < FROZEN_C
     }

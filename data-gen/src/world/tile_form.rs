@@ -27,7 +27,7 @@ impl Default for TileForm {
 
 impl TileForm {
     pub fn new(args: &GenArgs) -> Self {
-        // Meshes contain their place, so that they do not depend on the tileset.
+        // Meshes contain their position on the earth, so that they do not depend on the tileset.
         let mesh = || MeshForm { is_placed: true, ..MeshForm::new(args) };
         Self {
             mesh: (args.content == ContentKind::Mesh).then(mesh),

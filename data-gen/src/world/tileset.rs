@@ -16,7 +16,7 @@ use crate::{TileKey, body};
 /// The number of levels in a tileset.
 pub(super) const LEVELS_PER_TILESET: u32 = 3;
 
-/// What tilesets say of tiles.
+/// The values that tilesets declare.
 pub(super) struct Descriptions<'a> {
     /// Describes a tile.
     pub of: &'a (dyn Fn(TileKey) -> Described + Sync),

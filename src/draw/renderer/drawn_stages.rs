@@ -21,7 +21,9 @@ const MAX_EXPECTED: usize = 8;
 #[derive(Debug, Default)]
 pub(super) struct DrawnStages {
     drawn: Vec<DrawnStage>,
-    /// The kinds that the frame before has drawn.
+    /// Those with leaves.
+    with_leaves: Vec<DrawnStage>,
+    /// The kinds with leaves that the frame before has drawn.
     before: Vec<DrawnStage>,
     /// The latest last.
     expected: Vec<DrawnStage>,
@@ -29,11 +31,12 @@ pub(super) struct DrawnStages {
 
 impl DrawnStages {
     pub(super) fn clear(&mut self) {
-        std::mem::swap(&mut self.drawn, &mut self.before);
+        std::mem::swap(&mut self.with_leaves, &mut self.before);
+        self.with_leaves.clear();
         self.drawn.clear();
     }
 
-    /// Returns true if the frame before has drawn a kind.
+    /// Returns true if the frame before has drawn leaves in a stage of a kind. The first leaves are not left out.
     pub(super) fn was_drawn(&self, stage: &DrawnStage) -> bool {
         self.before.contains(stage)
     }
@@ -55,6 +58,9 @@ impl DrawnStages {
         };
         if !self.drawn.contains(&drawn) {
             self.drawn.push(drawn);
+        }
+        if lit.input.stage.leaf_count() > 0 && !self.with_leaves.contains(&drawn) {
+            self.with_leaves.push(drawn);
         }
         drawn
     }

@@ -1,37 +1,55 @@
-//! [`LargeContents`]: decodes contents that take much memory one at a time. Decode threads.
+//! [`LargeContents`]: contents that take much memory are decoded one after another. Decode threads.
 //!
-//! A file of some kilobytes may unfold to gigabytes, and several decode threads may meet such files at once. So decoders say
-//! what they are about to allocate ([`about_to_allocate`]). It is counted for the content that the thread decodes: against the
-//! bytes that its load has reserved, then against those that are free in the budget. A content that finds
-//! no more free may take [`MAX_BEYOND`] bytes beyond, and then waits until it is the only one that takes more.
+//! A file of some kilobytes may unfold to gigabytes, and several decode threads may have such files at once. So decoders call
+//! [`about_to_allocate`] before they allocate, or read through [`gated`]. The bytes come from those that the content's load has
+//! reserved, then from those that are free in the budget (a content that is alone finds any number free), then from an allowance
+//! of [`MAX_BEYOND`] bytes. A content that needs more waits for its turn. It keeps the turn until update has used or dropped its page, so
+//! that large pages do not pile up either.
 //!
-//! Who waits holds bytes of the budget, and nothing that another decoder needs: who is the only one takes memory without asking
-//! the budget, so that it always comes to its end. No decoder has to pass the count on, since a content is decoded by one
-//! thread. On other threads nothing is counted.
+//! There is no deadlock: the content that has its turn asks for nothing else, so that it always finishes, and update uses and drops
+//! pages without waiting for a load. The count is thread-local, since one thread decodes a content from its bytes to its
+//! page. On other threads nothing is counted.
 
 use std::cell::RefCell;
 use std::io::{self, Read};
 
 use super::byte_budget::Permit;
-use crate::sync::primitives::{Arc, Condvar, Mutex};
+use crate::sync::primitives::{Arc, Condvar, Mutex, MutexGuard};
 use crate::trace;
 
-/// The bytes that each decoder may allocate beyond the budget before it waits for its turn. The contents of real sets take
-/// less.
+/// The bytes that each decoder may allocate beyond the budget before it waits for its turn. Ordinary contents stay below it.
 const MAX_BEYOND: u64 = 32 << 20;
 /// [`Gated`] counts in steps of this many bytes.
 const STEP_BYTES: u64 = 1 << 20;
 
-/// The turn of contents that take more memory than is free. Clones share it.
+/// Lets one content at a time take more memory than is free. Clones share the turn.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct LargeContents(Arc<Turn>);
+pub(crate) struct LargeContents(Arc<Shared>);
 
 #[derive(Debug, Default)]
-struct Turn {
-    /// A content has its turn.
-    is_taken: Mutex<bool>,
-    /// Notified when it ends.
+struct Shared {
+    state: Mutex<State>,
+    /// Notified when a turn ends.
     ended: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    /// A content has its turn.
+    is_taken: bool,
+    /// Nothing waits any more.
+    is_closed: bool,
+}
+
+/// The turn of a content, which ends when this is dropped.
+#[derive(Debug)]
+struct Turn(LargeContents);
+
+/// The memory of a content that was decoded: its bytes of the budget, and its turn if it had one.
+#[derive(Debug)]
+pub(crate) struct ContentMemory {
+    permit: Permit,
+    _turn: Option<Turn>,
 }
 
 /// The memory that the thread's decoder has taken for its content.
@@ -40,7 +58,7 @@ struct Taken {
     large: LargeContents,
     /// Bytes beyond the budget.
     beyond: u64,
-    has_turn: bool,
+    turn: Option<Turn>,
 }
 
 thread_local! {
@@ -48,8 +66,8 @@ thread_local! {
 }
 
 impl LargeContents {
-    /// Runs a decoder on this thread and counts what it allocates, from the bytes of `permit` on.
-    pub fn decode<T>(&self, permit: &Permit, decode: impl FnOnce() -> T) -> T {
+    /// Runs a decoder on this thread and counts what it allocates, from the bytes of `permit` on. The memory belongs to the content.
+    pub fn decode<T>(&self, permit: Permit, decode: impl FnOnce() -> T) -> (T, ContentMemory) {
         /// Ends the count, also if the decoder panics.
         struct End;
         impl Drop for End {
@@ -57,29 +75,50 @@ impl LargeContents {
                 TAKEN.set(None);
             }
         }
-        TAKEN.set(Some(Taken { permit: permit.clone(), large: self.clone(), beyond: 0, has_turn: false }));
+        TAKEN.set(Some(Taken { permit: permit.clone(), large: self.clone(), beyond: 0, turn: None }));
         let _end = End;
-        decode()
+        let content = decode();
+        (content, ContentMemory { permit, _turn: TAKEN.take().and_then(|taken| taken.turn) })
     }
 
-    fn take_turn(&self) {
+    /// Lets all threads go on that wait, for their end.
+    pub fn close(&self) {
+        self.lock().is_closed = true;
+        self.0.ended.notify_all();
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.0.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+
+    fn take_turn(&self) -> Turn {
         let _span = trace::span("wait to decode a large content");
-        let mut is_taken = self.0.is_taken.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        while *is_taken {
-            is_taken = self.0.ended.wait(is_taken).unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut state = self.lock();
+        while state.is_taken && !state.is_closed {
+            state = self.0.ended.wait(state).unwrap_or_else(std::sync::PoisonError::into_inner);
         }
-        *is_taken = true;
+        state.is_taken = true;
+        Turn(self.clone())
     }
+}
 
-    fn end_turn(&self) {
-        *self.0.is_taken.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = false;
-        self.0.ended.notify_one();
+impl Drop for Turn {
+    fn drop(&mut self) {
+        self.0.lock().is_taken = false;
+        self.0.0.ended.notify_one();
+    }
+}
+
+impl ContentMemory {
+    /// Holds exactly this many bytes of the budget from now on, as [`Permit::set_bytes`].
+    pub fn set_bytes(&self, bytes: u64) {
+        self.permit.set_bytes(bytes);
     }
 }
 
 impl Taken {
     fn add(&mut self, bytes: u64) {
-        if self.has_turn {
+        if self.turn.is_some() {
             return;
         }
         match self.permit.claim(bytes) {
@@ -87,21 +126,12 @@ impl Taken {
             Err(_) => self.beyond = self.beyond.saturating_add(bytes),
         }
         if self.beyond > MAX_BEYOND {
-            self.large.take_turn();
-            self.has_turn = true;
+            self.turn = Some(self.large.take_turn());
         }
     }
 }
 
-impl Drop for Taken {
-    fn drop(&mut self) {
-        if self.has_turn {
-            self.large.end_turn();
-        }
-    }
-}
-
-/// Counts bytes that a decoder is about to allocate. Blocks while they are too many and another large content is being decoded.
+/// Counts bytes that a decoder is about to allocate. Blocks while the content is beyond its share and another one has the turn.
 pub(crate) fn about_to_allocate(bytes: u64) {
     TAKEN.with_borrow_mut(|taken| {
         if let Some(taken) = taken {
@@ -110,14 +140,14 @@ pub(crate) fn about_to_allocate(bytes: u64) {
     });
 }
 
-/// A reader that decompresses, whose bytes are counted before they are kept.
+/// Returns a reader whose bytes are counted as they are read; for decompressors.
 pub(crate) fn gated<R: Read>(reader: R) -> impl Read {
     Gated { reader, left: 0 }
 }
 
 struct Gated<R> {
     reader: R,
-    /// Bytes that are counted and not read.
+    /// Bytes that are counted already, and not read yet.
     left: u64,
 }
 
@@ -156,52 +186,55 @@ mod tests {
             about_to_allocate(bytes);
             budget.total().bytes
         };
-        assert_eq!(large.decode(&permit, || [used(15), used(15), used(30), used(20)]), [60, 70, 100, 100]);
+        let (all, memory) = large.decode(permit, || [used(15), used(15), used(30), used(20)]);
+        assert_eq!(all, [60, 70, 100, 100]);
         assert_eq!(used(10), 100, "nothing is counted behind the decoder");
-        // The load sets what its content takes.
-        permit.set_bytes(7);
+        memory.set_bytes(7);
         assert_eq!(budget.total().bytes, 47);
+        drop(memory);
+        assert_eq!(budget.total().bytes, 40);
     }
 
     #[test]
-    fn one_large_content_at_a_time_is_decoded() {
+    fn large_contents_are_decoded_and_used_one_at_a_time() {
         let (budget, _held) = full();
         let large = LargeContents::default();
         let (say, said) = mpsc::channel();
-        let (go, wait) = mpsc::channel::<()>();
-        let decoder = |name: &'static str, wait: Option<mpsc::Receiver<()>>| {
+        let decoder = |name: &'static str| {
             let (large, permit, say) = (large.clone(), budget.hold(0), say.clone());
             thread::spawn(move || {
-                large.decode(&permit, || {
+                let decode = || {
                     about_to_allocate(MAX_BEYOND);
                     say.send((name, "small")).unwrap();
                     about_to_allocate(1);
                     say.send((name, "large")).unwrap();
-                    wait.map(|wait| wait.recv());
-                    // Its own turn is no obstacle.
+                    // Who has the turn never waits again.
                     about_to_allocate(1 << 30);
-                    say.send((name, "ends")).unwrap();
-                });
+                };
+                large.decode(permit, decode).1
             })
         };
-        let first = decoder("first", Some(wait));
-        assert_eq!([said.recv().unwrap(), said.recv().unwrap()], [("first", "small"), ("first", "large")]);
-        let second = decoder("second", None);
-        assert_eq!(said.recv().unwrap(), ("second", "small"));
-        go.send(()).unwrap();
-        let rest: Vec<_> = (0..3).map(|_| said.recv().unwrap()).collect();
-        assert_eq!(rest, [("first", "ends"), ("second", "large"), ("second", "ends")]);
-        first.join().unwrap();
-        second.join().unwrap();
+        let first = decoder("first").join().unwrap();
+        let second = decoder("second");
+        let before: Vec<_> = (0..3).map(|_| said.recv().unwrap()).collect();
+        assert_eq!(before, [("first", "small"), ("first", "large"), ("second", "small")]);
+        assert!(said.try_recv().is_err(), "the first is decoded, and still there");
+        drop(first);
+        assert_eq!(said.recv().unwrap(), ("second", "large"));
+        // The end of the threads does not wait for what update holds.
+        let _second = second.join().unwrap();
+        large.close();
+        decoder("third").join().unwrap();
     }
 
     #[test]
     fn turn_ends_with_a_decoder_that_panics() {
         let (budget, _held) = full();
-        let (large, permit) = (LargeContents::default(), budget.hold(0));
+        let large = LargeContents::default();
         for _ in 0..2 {
+            let permit = budget.hold(0);
             let decode = std::panic::AssertUnwindSafe(|| {
-                large.decode(&permit, || {
+                large.decode(permit, || {
                     about_to_allocate(MAX_BEYOND + 1);
                     std::panic::resume_unwind(Box::new("stops"));
                 })
@@ -213,9 +246,9 @@ mod tests {
     #[test]
     fn decompressed_bytes_are_counted_in_steps() {
         let (budget, large) = (ByteBudget::new(u64::MAX), LargeContents::default());
-        let permit = budget.hold(0);
         let mut read = Vec::new();
-        large.decode(&permit, || gated(io::repeat(7).take(5 * STEP_BYTES / 2)).read_to_end(&mut read)).unwrap();
+        let unfold = || gated(io::repeat(7).take(5 * STEP_BYTES / 2)).read_to_end(&mut read);
+        let (_, _memory) = large.decode(budget.hold(0), unfold);
         assert_eq!(read.len() as u64, 5 * STEP_BYTES / 2);
         let used = budget.total().bytes;
         assert!((5 * STEP_BYTES / 2..=4 * STEP_BYTES).contains(&used), "{used}");

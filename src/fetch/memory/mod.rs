@@ -8,4 +8,4 @@ mod large_contents;
 pub(crate) use byte_budget::{BudgetUse, ByteBudget, LoadRoom, Permit};
 #[cfg(feature = "http")]
 pub(crate) use byte_budget::{Claim, NoRoom};
-pub(crate) use large_contents::{LargeContents, about_to_allocate, gated};
+pub(crate) use large_contents::{ContentMemory, LargeContents, about_to_allocate, gated};

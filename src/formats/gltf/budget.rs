@@ -103,8 +103,7 @@ mod tests {
     #[test]
     fn counts_are_also_those_of_the_decode_thread() {
         let (memory, limits) = (ByteBudget::new(u64::MAX), Limits::default());
-        let permit = memory.hold(0);
-        LargeContents::default().decode(&permit, || {
+        let (_, _held) = LargeContents::default().decode(memory.hold(0), || {
             let budget = Budget::new("a", &limits);
             budget.add_vertices(10).unwrap();
             budget.add_indices(10).unwrap();

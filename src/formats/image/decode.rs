@@ -174,9 +174,8 @@ mod tests {
         let mut png = Vec::new();
         image::RgbImage::new(64, 32).write_to(&mut Cursor::new(&mut png), ImageFormat::Png).unwrap();
         let memory = ByteBudget::new(u64::MAX);
-        let permit = memory.hold(0);
         let limits = Limits::default();
-        let decoded = LargeContents::default().decode(&permit, || decode_file("a", &png, &limits));
+        let (decoded, _held) = LargeContents::default().decode(memory.hold(0), || decode_file("a", &png, &limits));
         assert!(decoded.is_ok());
         assert_eq!(memory.total().bytes, 64 * 32 * 4 / 3 * 4);
         assert_eq!(size_of("a", &png, &limits).unwrap(), [64, 32]);

@@ -18,7 +18,7 @@ use crate::scene::{
     NodeKind, Topology,
 };
 
-/// What a style is applied to.
+/// The kind of object that a style is applied to.
 #[derive(Clone, Copy)]
 pub(in crate::formats) struct Styled {
     pub set_from_content: DAffine3,

@@ -11,8 +11,8 @@ use crate::pager::residency::Unused;
 use crate::pager::scenes::scene_set::SceneSet;
 use crate::scene::{SlotInfo, SlotState};
 
-/// The number of new requests that are accepted at once. Culls list what they miss again in each frame, so that the others
-/// follow; threads begin fewer loads in a frame.
+/// The number of new requests that an update accepts, more than threads can begin in a frame. Culls list the others again in
+/// the next frame.
 const MAX_NEW: usize = 1024;
 
 /// A slot that a cull met within this many frames is seen.
@@ -40,7 +40,7 @@ fn most_urgent<S: Copy + Ord>(
 }
 
 impl DatabasePager {
-    /// Renews the requests that are known, and accepts the [`MAX_NEW`] most urgent new ones. Returns true if there is something
+    /// Renews the requests that are known, and accepts the most urgent new ones: [`MAX_NEW`] at most, an equal share of each scene. Returns true if there is something
     /// new to load, or a prefetch is wanted now.
     pub(super) fn accept(&mut self, scenes: &dyn SceneSet, requests: &[PageRequest]) -> bool {
         self.accept_some(scenes, requests, if self.config.blocking { usize::MAX } else { MAX_NEW })
@@ -175,12 +175,12 @@ mod tests {
             self.pager.update_scene_graph(&mut self.scene, self.frame, time_s, &requests, &mut []);
         }
 
-        /// Runs an update of a frame that wants all tiles, those near a place most.
+        /// Runs an update of a frame that wants all tiles, those near tile number `place` most.
         fn look_at(&mut self, place: usize) {
             self.update((0..TILES).map(|tile| (tile, priority(tile, place))));
         }
 
-        /// Looks at a place until the list has all requests.
+        /// Looks at tile number `place` until the list has all requests.
         fn fill(&mut self, place: usize) {
             while self.pager.stats.waiting < TILES as u64 {
                 self.look_at(place);

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::{ANSWERS_END, DatabasePager, UPLOADED_END};
-use crate::fetch::{IoError, Permit};
+use crate::fetch::{ContentMemory, IoError};
 use crate::gpu::Compiled;
 use crate::pager::loading::job::Answer;
 use crate::pager::loading::page_job::PageJob;
@@ -63,7 +63,7 @@ impl DatabasePager {
         answer: Answer<PageJob>,
         contexts: &mut [&mut dyn CompileContext],
     ) {
-        let Answer { job, content, permit, .. } = answer;
+        let Answer { job, content, memory, .. } = answer;
         if self.table.of_job(&job).is_none() {
             // The tree that held the slot is gone.
             if let Some(Ok(page)) = content {
@@ -77,7 +77,7 @@ impl DatabasePager {
             Some(Ok(page)) if !self.scenes.block_formats().get().contains(page.block_formats()) => {
                 self.undrawable(&job, page);
             }
-            Some(Ok(page)) => self.arrived(scenes, &job, (page, permit), contexts),
+            Some(Ok(page)) => self.arrived(scenes, &job, (page, memory), contexts),
         }
     }
 
@@ -114,7 +114,7 @@ impl DatabasePager {
         &mut self,
         scenes: &mut dyn SceneSet,
         job: &PageJob,
-        (mut page, permit): (Page, Option<Permit>),
+        (mut page, memory): (Page, Option<ContentMemory>),
         contexts: &mut [&mut dyn CompileContext],
     ) {
         let slot = job.slot;
@@ -129,7 +129,7 @@ impl DatabasePager {
             entry.urgency()
         });
         let Some(urgency) = arrived else { return };
-        self.arrivals.insert((slot, urgency), job.ticket, (page, permit), kinds, contexts.len());
+        self.arrivals.insert((slot, urgency), job.ticket, (page, memory), kinds, contexts.len());
         if !self.refuse_oversized(scenes, slot, contexts) {
             self.learn_size_if_known(slot);
             self.keep_budgets(scenes, contexts);

@@ -37,6 +37,7 @@ impl LoadBudgets {
     pub fn close(&self) {
         self.bodies.close();
         self.contents.close();
+        self.large.close();
     }
 }
 

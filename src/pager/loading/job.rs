@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::request::Request;
-use crate::fetch::{IoError, Loaded, Permit, RootScope};
+use crate::fetch::{ContentMemory, IoError, Loaded, Permit, RootScope};
 use crate::formats::Fetched;
 #[cfg(feature = "http")]
 use crate::pager::scenes::shared_files::SharedFiles;
@@ -114,8 +114,8 @@ pub(in crate::pager) struct Answer<J: LoadJob> {
     pub bytes_read: u64,
     /// Bytes of them that were transferred over the network.
     pub bytes_http: u64,
-    /// Holds the content in the budget of contents; `None` if there is none.
-    pub permit: Option<Permit>,
+    /// The memory of the content in the budget of contents; `None` if there is none.
+    pub memory: Option<ContentMemory>,
 }
 
 /// Returns the number of bytes of a content and its companions.

@@ -196,19 +196,20 @@ fn decode<J: LoadJob>(mut intake: Intake<J>, sender: &Sender<Answer<J>>, budgets
         let decoded = loaded.and_then(|loaded| {
             let held = contents.reserve_blocking(expected_bytes, job.is_prefetch());
             let _span = job.decode_span();
-            let content = large.decode(&held, || job.decode(loaded, companions))?;
+            let (content, memory) = large.decode(held, || job.decode(loaded, companions));
+            let content = content?;
             let bytes = J::content_bytes(&content);
             contents.learn(bytes);
-            held.set_bytes(bytes);
-            Ok((content, held))
+            memory.set_bytes(bytes);
+            Ok((content, memory))
         });
         // The bytes were dropped with their decoder.
         drop(permit);
-        let (content, permit) = match decoded {
-            Ok((content, held)) => (Ok(content), Some(held)),
+        let (content, memory) = match decoded {
+            Ok((content, memory)) => (Ok(content), Some(memory)),
             Err(error) => (Err(error), None),
         };
-        if sender.send(Answer { job, content: Some(content), bytes_read, bytes_http, permit }).is_err() {
+        if sender.send(Answer { job, content: Some(content), bytes_read, bytes_http, memory }).is_err() {
             return;
         }
     }

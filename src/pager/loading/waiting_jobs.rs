@@ -63,7 +63,7 @@ struct Waiting<J> {
     lane: usize,
 }
 
-/// The place of a job in its queue: the most urgent comes last, and of equally urgent ones the one requested first.
+/// The sort key of a job in its queue: the most urgent comes last, and of equally urgent ones the one requested first.
 type Urgent = (Urgency, Reverse<Ticket>);
 
 /// The jobs of a scene in a lane, without prefetches.

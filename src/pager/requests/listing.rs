@@ -2,9 +2,9 @@
 //!
 //! The jobs to add are copied before the list is locked, and each once while it waits. Under the lock the list is changed
 //! as much as the requests have changed since the last time, within a limit. While a camera moves, the priorities of all
-//! requests change. Then those are written that are the most urgent now, and those that the list has as the most urgent: the
-//! threads take no others before the next update. Requests that stay wanted are compared with the list in each frame, so the
-//! others get their turn as they come to the front. The limit is a number and no time, so that equal flights give equal lists.
+//! requests change. Then two groups are written: the most urgent now, and those that are still at the front of the list. The
+//! threads take no others before the next update. The rest is noted again when the next frame wants it. The limit is a count and not a
+//! time, so that equal flights give equal lists.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -57,9 +57,9 @@ fn has_room(entry: &Entry, room: &Room) -> bool {
 }
 
 impl RequestTable {
-    /// Collects what the list does not know yet: new requests, and of those whose urgency has changed `max_changed` that are
-    /// the most urgent now, and as many that the list has as the most urgent; of each scene its share. Prefetches and requests
-    /// of known size follow under the lock, where it is known how many jobs are under way.
+    /// Collects the entries to write to the list: all new requests, and of those whose urgency has changed the `max_changed` most
+    /// urgent ones by their new urgency and as many by the urgency in the list. Scenes share these numbers. Prefetches and requests
+    /// of known size follow under the lock, where the number of jobs under way is known.
     pub(super) fn collect_changes(&mut self, max_changed: usize) {
         self.changes.round += 1;
         let (mut unlisted, mut changed) =

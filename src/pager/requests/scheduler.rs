@@ -34,11 +34,11 @@ const PREFETCH_MARGIN_FRAMES: u32 = 2;
 /// The number of jobs that one update marks as taken. Threads may take thousands between two updates; what is left counts as
 /// waiting until the next one.
 const MAX_TAKEN: usize = 256;
-/// The number of jobs whose changed urgency one update writes because they are the most urgent now, and the number that it writes
-/// because the list has them as the most urgent. Threads take fewer between two updates.
+/// One update writes the changed urgencies of this many jobs that are the most urgent now, and of as many that were the most urgent in
+/// the list. Threads take fewer between two updates.
 const MAX_CHANGED: usize = 1024;
-/// The number of stale requests that one update drops because they were renewed longest ago, and the number that it drops
-/// because they are among the most urgent, which threads would take next.
+/// One update drops this many stale requests that were renewed longest ago, and as many that are among the most urgent, which threads
+/// would take next.
 const MAX_STALE: usize = 2048;
 /// The number of the most urgent jobs that are looked at until none of them is stale.
 const MAX_LOOKED_AT: usize = 256;

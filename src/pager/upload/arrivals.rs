@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::context::CompileContext;
-use crate::fetch::Permit;
+use crate::fetch::ContentMemory;
 use crate::gpu::{CompileBudget, CompileOperation, Compiled};
 use crate::pager::loading::ticket::Ticket;
 use crate::pager::loading::waiting_jobs::Urgency;
@@ -35,8 +35,8 @@ pub(in crate::pager) struct Arrived {
     reserved_gpu: u64,
     /// `Some` until its uploads begin.
     payload: Option<Payload>,
-    /// Holds its bytes in the budget of what is on its way.
-    _permit: Option<Permit>,
+    /// Its bytes in the budget of what is on its way, and its turn if it is large.
+    _memory: Option<ContentMemory>,
 }
 
 impl Arrived {
@@ -185,7 +185,7 @@ impl Arrivals {
         &mut self,
         (slot, urgency): (NodeId, Urgency),
         ticket: Ticket,
-        (mut page, permit): (Page, Option<Permit>),
+        (mut page, memory): (Page, Option<ContentMemory>),
         kinds: Arc<[DrawKind]>,
         contexts: usize,
     ) {
@@ -202,7 +202,7 @@ impl Arrivals {
             reserved_gpu: 0,
             payload: (contexts_left > 0).then_some(Payload { drawables, kinds, bytes }),
             page: Box::new(page),
-            _permit: permit,
+            _memory: memory,
         };
         if contexts_left > 0 {
             self.by_ticket.insert(ticket.number(), slot);

@@ -36,9 +36,8 @@ pub enum EnvironmentChanges {
 /// When drawables are shown whose pipelines do not exist: nodes and state sets that the application adds to the scene graph, or
 /// changes. The contents of pages have theirs before they are merged.
 ///
-/// Where a whole view is drawn in another way than in the frame before, as after a first stencil or a light of number 0, all
-/// that is in view needs other pipelines, and the frame creates them; so does the first frame of a view. The blocking mode of the
-/// pager hides nothing.
+/// A first stencil or a light of number 0 changes the pipelines of all drawables of a view. Then nothing is hidden: the frame creates
+/// the pipelines, as the first frame of a view does. The blocking mode of the pager hides nothing either.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum NewStates {
     /// The next frame shows them and takes as long as their pipelines take, as in OpenSceneGraph: 20 to 200 ms each on many
@@ -123,7 +122,7 @@ impl EnvironmentRehearsals {
         self.take_rehearsed(views);
         let mut rehearsals = Vec::new();
         for view in views.values_mut() {
-            view.shown.begin_frame(frame, hides_unready);
+            view.shown.begin_frame(frame, hides_unready, scenes[view.scene()].own_merged());
             let waits = self.waits_for_pipelines(changes, view);
             view.shown.follow(&view.environment, waits);
             if !view.shown.wants_rehearsal() {

@@ -29,6 +29,8 @@ pub(in crate::viewer) struct OwnPages {
     next_number: u32,
     /// Devices and upload numbers of the uploads in flight.
     in_flight: HashSet<(u32, u32)>,
+    /// The number of uploads that pages have received.
+    merged: u32,
     /// See [`ViewerConfig::keep_drawables`](crate::viewer::ViewerConfig::keep_drawables).
     keeps_drawables: bool,
 }
@@ -41,6 +43,7 @@ impl OwnPages {
             numbers: HashMap::new(),
             next_number: 0,
             in_flight: HashSet::new(),
+            merged: 0,
             keeps_drawables,
         }
     }
@@ -52,6 +55,11 @@ impl OwnPages {
     /// True while an upload is in flight.
     pub(super) fn is_uploading(&self) -> bool {
         !self.in_flight.is_empty()
+    }
+
+    /// Returns a number that changes when a page has received its upload.
+    pub(super) fn merged(&self) -> u32 {
+        self.merged
     }
 
     /// Uploads the drawables of a page to all devices.
@@ -93,7 +101,10 @@ impl OwnPages {
                 log::error!("a drawable of a root cannot be drawn: {error}");
             }
             match self.pages.get(&number).and_then(|own| scene.page_mut(own.page)) {
-                Some(page) => page.set_draw_slots(device, compiled.slots),
+                Some(page) => {
+                    page.set_draw_slots(device, compiled.slots);
+                    self.merged = self.merged.wrapping_add(1);
+                }
                 // The page was removed meanwhile.
                 None => rendering.release(device, compiled.slots),
             }

@@ -393,6 +393,11 @@ impl PagedScene {
         Ok(())
     }
 
+    /// Returns a number that changes when a page of the application has received its upload.
+    pub(in crate::viewer) fn own_merged(&self) -> u32 {
+        self.own.merged()
+    }
+
     /// Gives the application's pages the draw slots of uploads that have finished.
     pub(in crate::viewer) fn merge_own(&mut self, rendering: &mut Rendering) {
         self.own.merge_uploaded(unshared(&mut self.scene), rendering);

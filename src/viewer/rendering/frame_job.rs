@@ -24,7 +24,7 @@ pub(in crate::viewer) struct FrameJob {
     pub(in crate::viewer) stage: Option<(RenderStage, Environment)>,
     /// Views as a later frame will draw them, whose missing pipelines are ordered.
     pub(in crate::viewer) rehearsals: Vec<(RenderStage, Environment)>,
-    /// Leaves out what lacks a pipeline where the frame before was drawn in the same way; see
+    /// Leaves out drawables without a pipeline, unless the whole view is drawn in a new way; see
     /// [`NewStates`](crate::viewer::NewStates).
     pub(in crate::viewer) hides_unready: bool,
     /// The times that shader programs see.

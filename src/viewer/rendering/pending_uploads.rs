@@ -1,12 +1,12 @@
-//! [`PendingUploads`]: the uploads of a device that wait for pipelines. Draw thread.
+//! [`PendingUploads`]: uploads of pages to a device, in order, with the pipelines that they need. Draw thread.
 
 use std::collections::{HashSet, VecDeque};
 
 use crate::gpu::CompileOperation;
 
-/// An upload that has arrived and not begun.
+/// An entry of the queue.
 pub(super) enum Upload<P> {
-    /// Pipelines that must be there before the operations behind them begin.
+    /// Pipelines that must be there before the operations after them begin.
     Pipelines(P),
     Compile(CompileOperation),
 }
@@ -30,13 +30,13 @@ impl<P> PendingUploads<P> {
         self.0.pop_front()
     }
 
-    /// Makes it the first one again.
+    /// Puts it back at the front.
     pub(super) fn put_back(&mut self, upload: Upload<P>) {
         self.0.push_front(upload);
     }
 
-    /// Removes operations by ticket and returns them. Pipelines of which all operations are removed are dropped, since they keep
-    /// the states of a page.
+    /// Removes operations by ticket and returns them. Pipelines without an operation after them are dropped: they would keep
+    /// a page's textures alive.
     pub(super) fn cancel(&mut self, tickets: &[u64]) -> Vec<CompileOperation> {
         let tickets: HashSet<u64> = tickets.iter().copied().collect();
         let mut cancelled = Vec::new();
@@ -54,7 +54,7 @@ impl<P> PendingUploads<P> {
         cancelled
     }
 
-    /// Drops pipelines at the end, behind which nothing waits.
+    /// Drops the last entry if it is pipelines.
     fn drop_last_pipelines(&mut self) {
         self.0.pop_back_if(|upload| matches!(upload, Upload::Pipelines(_)));
     }

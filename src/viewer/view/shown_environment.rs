@@ -29,6 +29,8 @@ pub(in crate::viewer) struct ShownEnvironment {
     awaited: (u32, u32),
     /// The application has asked for a frame.
     is_asked: bool,
+    /// [`PagedScene::own_merged`](crate::viewer::paging::PagedScene::own_merged) in the last frame.
+    own_merged: u32,
     /// The frame that it got, until the result is known: it may have left something out.
     asked: Option<u32>,
 }
@@ -49,9 +51,11 @@ impl ShownEnvironment {
         self.is_asked = true;
     }
 
-    /// Begins a frame, which may leave out what lacks a pipeline.
-    pub(in crate::viewer) fn begin_frame(&mut self, frame: u32, hides_unready: bool) {
-        if std::mem::take(&mut self.is_asked) && hides_unready {
+    /// Begins a frame, which may leave out what lacks a pipeline. `own_merged` changes when a page of the application has received
+    /// its upload.
+    pub(in crate::viewer) fn begin_frame(&mut self, frame: u32, hides_unready: bool, own_merged: u32) {
+        let has_new = std::mem::replace(&mut self.own_merged, own_merged) != own_merged;
+        if (std::mem::take(&mut self.is_asked) || has_new) && hides_unready {
             self.asked = Some(frame);
         }
     }

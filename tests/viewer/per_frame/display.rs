@@ -1,5 +1,4 @@
-//! What the configuration asks of the display reaches the cameras of views and the targets of contexts. The noop adapter
-//! suffices.
+//! Display settings of the configuration reach the cameras of views and the targets of contexts. The noop adapter suffices.
 
 use terrane::gpu::{AdapterChoice, GpuError};
 use terrane::viewer::{CompositeViewer, FieldOfView, Viewer, ViewerConfig, ViewerError};

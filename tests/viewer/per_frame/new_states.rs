@@ -58,7 +58,7 @@ impl Run {
         self.viewer.take_pictures().pop().unwrap().1
     }
 
-    /// Draws while a frame is needed; returns the pictures, the last of them at rest.
+    /// Draws while a frame is needed; returns the images, of which the last is drawn when nothing changes any more.
     fn pictures(&mut self) -> Vec<RgbaImage> {
         let mut pictures = Vec::new();
         while self.viewer.check_need_to_do_frame() {
@@ -70,8 +70,8 @@ impl Run {
         pictures
     }
 
-    /// Gives the ball another state. Returns the picture before it, the pictures after it, and the pipelines that these frames have
-    /// created themselves and those of another thread.
+    /// Gives the ball another state. Returns the image before, the images after, and the numbers of pipelines that these frames and
+    /// the pipeline thread have created.
     fn changed(&mut self, set: StateSet) -> (RgbaImage, Vec<RgbaImage>, [u32; 2]) {
         let before = self.picture();
         let frame = self.viewer.frame_stamp().frame;

@@ -25,10 +25,10 @@ use crate::args::FlyArgs;
 
 /// The time after which waiting for a hidden window to show the settled frame ends.
 const HIDDEN_TIMEOUT: Duration = Duration::from_secs(10);
-/// The time between two frames offscreen while the first view loads. Nobody sees these frames, and a software driver draws
+/// The time between two frames offscreen while the first view loads. These frames are shown nowhere, and a software driver draws
 /// them on the cores that load.
 const UNSEEN_PERIOD: Duration = Duration::from_millis(100);
-/// The time after which the end of that loading is noticed.
+/// The longest time until the end of that loading is noticed.
 const UNSEEN_SLICE: Duration = Duration::from_millis(2);
 /// The time without progress of the pager after which waiting for the settled frame ends.
 const STALL_TIMEOUT: Duration = Duration::from_secs(60);
@@ -201,8 +201,8 @@ impl Flight {
         Ok(true)
     }
 
-    /// Loads until the next frame offscreen, of which the last began at `start`: while the first view settles, a frame is
-    /// drawn when everything that was requested is there, and else now and then.
+    /// Loads until the next frame is due, offscreen while the first view settles. A frame is due when everything that was requested has
+    /// arrived, and at the latest [`UNSEEN_PERIOD`] after `start`, when the last one began.
     pub fn load_unseen(&self, viewer: &mut Viewer, start: Instant) {
         let next = start + UNSEEN_PERIOD;
         let loads = |viewer: &Viewer| viewer.pager().is_some_and(|pager| !pager.is_idle());

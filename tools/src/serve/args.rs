@@ -18,7 +18,7 @@ pub struct ServeArgs {
     /// Serve a planet of 22 levels from --seed instead of a folder. Its tiles are made when they are requested
     #[arg(long, value_enum, value_name = "PRESET")]
     pub procedural: Option<WorldPreset>,
-    /// Body of the planet: moon, mars, or radii in metres as EQUATORxPOLE or XxYxZ
+    /// Body of the planet: earth, moon, mars, or radii in metres as EQUATORxPOLE or XxYxZ
     #[arg(long, requires = "procedural")]
     pub body: Option<BodyArg>,
     /// Put trees and rocks on the planet

@@ -79,9 +79,9 @@ pub(crate) fn triangulate(surface: &Surface, edges: &[Vec<u16>; 4], limit_m: f64
     finish(surface, &net, at_samples_m)
 }
 
-/// Inserts samples where the surface bends by more than the allowed distance, so that hardly any triangulation does without them: of each
-/// square of some samples the one that is farthest from the middle of its neighbours to both sides. Without these first samples, about
-/// the same vertices would be found in more rounds over larger triangles.
+/// Inserts the samples where the surface bends most, which nearly every triangulation needs: of each square of 3 x 3 samples the
+/// one that is farthest from the middle of its neighbours, if that is more than the allowed distance. Without them about the same
+/// vertices would be found in more rounds over larger triangles.
 fn insert_bends(surface: &Surface, allowed_m: f64, net: &mut Triangulation) {
     /// The steps from one square to the next. Few far from each other come first, so that triangles are seldom long.
     const STEPS: [i32; 4] = [8, 4, 2, 1];
@@ -307,7 +307,7 @@ mod tests {
         let surface = Surface::new(SIDE, height_m, |_| [0.0; 2], None);
         let mut net = Triangulation::new(SIDE as i32 - 1);
         insert_bends(&surface, 1.0, &mut net);
-        // One of each of the four squares that the spike and its neighbours are in.
+        // The spike and its neighbours lie in four squares, each of which has one.
         let found: Vec<Point> = net.points().skip(4).collect();
         assert!(found.contains(&[11, 20]) && found.len() <= 4, "{found:?}");
         assert!(found.iter().all(|[x, y]| (x - 11).abs() + (y - 20).abs() <= 1), "{found:?}");

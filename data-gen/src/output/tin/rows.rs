@@ -43,8 +43,8 @@ impl Side {
     }
 }
 
-/// The rows of lattice points in a triangle with corners counter-clockwise, its edges included, without the samples on the edges
-/// of the square from 0 to `last`: the row, the first and the last column.
+/// The rows of lattice points in a triangle with corners counter-clockwise: row, first and last column. Points on the edges of
+/// the triangle belong to it; samples on the edges of the square, from 0 to `last`, are left out.
 pub(super) struct Rows {
     /// The next row, and the last one.
     y: i32,

@@ -1,5 +1,5 @@
-//! Tables of small triangles and short edges: the samples on them, whatever their place. Most triangles are small, and going through
-//! their rows would take longer than the samples.
+//! Tables of small triangles and short edges: the offsets of the samples on them from the first corner. Most triangles are small, and
+//! going through their rows would take longer than the samples.
 
 use std::sync::LazyLock;
 
@@ -26,7 +26,7 @@ pub(super) struct Inside {
     pub shares: [u8; 2],
 }
 
-/// Where an edge crosses lines of the grid between two samples: four places, of which some may be the start of the edge.
+/// Four points at which an edge crosses lines of the grid between two samples. Unused ones are the start of the edge.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Crossings {
     /// The offsets in [`super::Surface`] of the samples before, from the start of the edge, and those of the samples behind from the ones
@@ -41,10 +41,10 @@ pub(super) struct Crossings {
 
 /// See [`SHAPES`].
 pub(super) struct Shapes {
-    /// For the places of the second and the third corner, the first of `inside`; one more than places.
+    /// For the offsets of the second and the third corner, the index of their first element in `inside`. One more at the end.
     triangles: Vec<u32>,
     inside: Vec<Inside>,
-    /// For the place of the end, the first of `crossings`; one more than places.
+    /// For the offset of the end, the index of its first element in `crossings`. One more at the end.
     edges: Vec<u32>,
     crossings: Vec<Crossings>,
     /// One over double areas.
@@ -120,8 +120,8 @@ fn part<'a, T>(list: &'a [T], firsts: &[u32], number: i32) -> &'a [T] {
     &list[firsts[number] as usize..firsts[number + 1] as usize]
 }
 
-/// Returns where an edge with some columns and rows crosses columns, rows and diagonals of the grid between samples. At least four
-/// places, so that loops over them seldom have other lengths.
+/// Returns where an edge with some columns and rows crosses columns, rows and diagonals of the grid between samples. They come in
+/// fours, so that loops over them have one length.
 pub(super) fn crossings_of([dx, dy]: Point) -> Vec<Crossings> {
     let (mut all, mut count) = (vec![Crossings::default()], 0);
     // For each family of lines: the number of lines to the other end, and the step along a line to its next sample.

@@ -21,11 +21,11 @@ fn triangle_of(edge: u16) -> u16 {
     edge >> 2
 }
 
-/// Returns the place of an edge in its triangle, and those of the next edge and of the one before.
+/// Returns the index of an edge in its triangle, and the indices of the next edge and of the one before.
 #[inline(always)]
 fn places(edge: u16) -> [usize; 3] {
     let at = edge & 3;
-    // Two bits for each place.
+    // Two bits for each index.
     [at, 0b00_10_01 >> (2 * at) & 3, 0b01_00_10 >> (2 * at) & 3].map(usize::from)
 }
 
@@ -232,7 +232,7 @@ impl Triangulation {
     /// Tells the neighbour of an edge about it.
     #[inline(always)]
     fn link(&mut self, twin: u16, edge: u16) {
-        // That of an edge of the square is no triangle.
+        // An edge of the square has no triangle on the other side.
         if let Some(twins) = self.twins.get_mut(usize::from(triangle_of(twin))) {
             twins[usize::from(twin & 3)] = edge;
         }

@@ -438,7 +438,7 @@ impl Network {
     }
 }
 
-/// Returns the way from one place to another in metres, on a body with a radius.
+/// Returns the vector between two positions on a body in metres.
 #[inline(always)]
 pub(super) fn difference_m(radius_m: f64, from: [f64; 3], to: [f64; 3]) -> [f32; 3] {
     let along = |k: usize| ((to[k] - from[k]) * radius_m) as f32;

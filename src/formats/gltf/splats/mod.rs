@@ -38,7 +38,7 @@ struct Found {
     harmonics: SplatHarmonics,
     /// The number of splats with invalid values.
     invalid: u64,
-    /// What the source asks for and is not done, in the words of the notes.
+    /// The notes on features of the source that are not drawn.
     ignored: Vec<&'static str>,
 }
 

@@ -45,7 +45,7 @@ impl Grid {
             let [width, height] = [bounds[2] - bounds[0], bounds[3] - bounds[1]];
             let bulge = if frame.is_globe() { width * width / 16.0 } else { 0.0 };
             let [from, to] = [[bounds[0], bounds[1] - bulge], [bounds[2], bounds[3] + bulge]].map(|at| grid.cell(at));
-            // At a pole places have any longitude.
+            // A pole has every longitude.
             let dx = if has_pole { f64::INFINITY } else { MARGIN * width };
             let dy = MARGIN * height + bulge;
             grid.bounds.push([bounds[0] - dx, bounds[1] - dy, bounds[2] + dx, bounds[3] + dy]);
@@ -83,7 +83,7 @@ impl Grid {
         &self.triangles[self.first[cell] as usize..self.first[cell + 1] as usize]
     }
 
-    /// Returns the triangles whose bounds on the map contain a place.
+    /// Returns the triangles whose bounds on the map contain a point.
     pub fn at(&self, at: [f64; 2]) -> impl Iterator<Item = u32> {
         let [x, y] = self.cell(at);
         self.of_cell(x, y).iter().copied().filter(move |triangle| {

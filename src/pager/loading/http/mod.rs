@@ -122,7 +122,7 @@ pub(super) fn run<J: LoadJob>(
             for ticket in aborts {
                 if let Some(Running { handle, job }) = running.remove(&ticket) {
                     handle.abort();
-                    let aborted = Answer { job, content: None, bytes_read: 0, bytes_http: 0, permit: None };
+                    let aborted = Answer { job, content: None, bytes_read: 0, bytes_http: 0, memory: None };
                     if answers.send(aborted).is_err() {
                         return;
                     }
