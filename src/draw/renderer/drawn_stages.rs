@@ -21,7 +21,7 @@ const MAX_EXPECTED: usize = 8;
 #[derive(Debug, Default)]
 pub(super) struct DrawnStages {
     drawn: Vec<DrawnStage>,
-    /// Those with leaves.
+    /// The kinds among them whose stages had leaves.
     with_leaves: Vec<DrawnStage>,
     /// The kinds with leaves that the frame before has drawn.
     before: Vec<DrawnStage>,

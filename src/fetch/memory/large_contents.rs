@@ -208,7 +208,7 @@ mod tests {
                     say.send((name, "small")).unwrap();
                     about_to_allocate(1);
                     say.send((name, "large")).unwrap();
-                    // Who has the turn never waits again.
+                    // A content that has its turn never waits again.
                     about_to_allocate(1 << 30);
                 };
                 large.decode(permit, decode).1
