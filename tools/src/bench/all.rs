@@ -42,7 +42,7 @@ const PAGE_COLUMNS: &[&str] =
 /// Runs all benches. `secs` is the minimum time of each case for benches with that option; `None` leaves their defaults.
 pub fn run(markdown: bool, secs: Option<f64>) -> Result<()> {
     let program = std::env::current_exe().context("path of this program")?;
-    let mut document = if markdown { head()? } else { String::new() };
+    let mut document = if markdown { head(secs)? } else { String::new() };
     for (number, (title, args, columns)) in BENCHES.into_iter().enumerate() {
         eprintln!("bench {} of {}: {}", number + 1, BENCHES.len(), args.join(" "));
         let mut command = Command::new(&program);
@@ -64,8 +64,9 @@ pub fn run(markdown: bool, secs: Option<f64>) -> Result<()> {
     std::io::stdout().write_all(document.as_bytes()).context("stdout")
 }
 
-/// Returns the title with the machine, date and commit of the measurement.
-fn head() -> Result<String> {
+/// Returns the title with the command, machine, date and commit of the measurement.
+fn head(secs: Option<f64>) -> Result<String> {
+    let secs = secs.map_or_else(String::new, |secs| format!(" --secs {secs}"));
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let seconds = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).context("clock")?.as_secs();
     let commit = match git(&["rev-parse", "--short=10", "HEAD"]) {
@@ -74,7 +75,7 @@ fn head() -> Result<String> {
         None => "unknown".to_owned(),
     };
     Ok(format!(
-        "# Benchmarks\n\nWritten by `terrane bench all --markdown > docs/benchmarks.md`; do not edit.\n\n\
+        "# Benchmarks\n\nWritten by `terrane bench all --markdown{secs} > docs/benchmarks.md`; do not edit.\n\n\
          - Machine: {}, {cores} cores, {}\n- Date: {}\n- Commit: {commit}\n- Version: {}\n\n\
          Figures of different machines or days do not compare. The header of a column names its unit; \"-\" means that the case \
          has no such figure.\n",
