@@ -1,4 +1,4 @@
-//! Texts of errors with their causes.
+//! Texts of errors with their causes. HTTP thread.
 
 /// Formats an error with its causes in one line, without the URL, which may contain a token.
 pub(super) fn error_chain_without_url(error: reqwest::Error) -> String {

@@ -6,8 +6,8 @@
 //! of [`MAX_BEYOND`] bytes. A content that needs more waits for its turn. It keeps the turn until update has used or dropped its page, so
 //! that large pages do not pile up either.
 //!
-//! There is no deadlock: the content that has its turn asks for nothing else, so that it always finishes, and update uses and drops
-//! pages without waiting for a load. The count is thread-local, since one thread decodes a content from its bytes to its
+//! There is no deadlock: the content that has its turn waits for nothing more, so that its decoder always finishes, and update uses
+//! and drops pages without waiting for a load. The count is thread-local, since one thread decodes a content from its bytes to its
 //! page. On other threads nothing is counted.
 
 use std::cell::RefCell;

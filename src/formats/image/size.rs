@@ -1,4 +1,4 @@
-//! The limit of the size of images, and the memory that they take.
+//! The limit of the size of images, and the memory that they take. Decode threads.
 
 use crate::fetch::{IoError, Limits, about_to_allocate};
 

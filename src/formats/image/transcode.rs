@@ -1,4 +1,4 @@
-//! Levels of KTX2 files in the formats of textures, by the transcoder of Basis Universal.
+//! Levels of KTX2 files in the formats of textures, by the transcoder of Basis Universal. Decode threads.
 
 use basisu::{DecodeFlags, Error, TargetFormat, Transcoder};
 

@@ -1,4 +1,4 @@
-//! Names of files as OpenSceneGraph writes them.
+//! Names of files as OpenSceneGraph writes them. Decode threads.
 
 /// Returns the name of a file as a part of a URI.
 pub(super) fn escaped(name: &str) -> String {

@@ -1,4 +1,4 @@
-//! [`Look`]: the value of a style.
+//! [`Look`]: the colour, visibility and size that a style gives a feature. Decode threads.
 
 use crate::math::color::linear_from_srgb;
 

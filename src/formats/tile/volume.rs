@@ -1,4 +1,4 @@
-//! [`TileVolume`]: where the tile of a content is.
+//! [`TileVolume`]: the volume of the tile that a content is for. Decode threads.
 
 use crate::math::OrientedBox;
 

@@ -1,4 +1,4 @@
-//! The container of a glb (glTF 2.0, section "GLB File Format").
+//! The container of a glb (glTF 2.0, section "GLB File Format"). Threads of `convert` and `gen`.
 
 use serde_json::Value;
 

@@ -175,15 +175,15 @@ mod tests {
             self.pager.update_scene_graph(&mut self.scene, self.frame, time_s, &requests, &mut []);
         }
 
-        /// Runs an update of a frame that wants all tiles, those near tile number `place` most.
-        fn look_at(&mut self, place: usize) {
-            self.update((0..TILES).map(|tile| (tile, priority(tile, place))));
+        /// Runs an update of a frame that wants all tiles, those with numbers near `center` most.
+        fn look_at(&mut self, center: usize) {
+            self.update((0..TILES).map(|tile| (tile, priority(tile, center))));
         }
 
-        /// Looks at tile number `place` until the list has all requests.
-        fn fill(&mut self, place: usize) {
+        /// Repeats [`Self::look_at`] until the list has all requests.
+        fn fill(&mut self, center: usize) {
             while self.pager.stats.waiting < TILES as u64 {
-                self.look_at(place);
+                self.look_at(center);
                 assert!(self.frame < 100, "{:?}", self.pager.stats);
             }
         }

@@ -1,4 +1,4 @@
-//! [`Request`]: a job as the request list sees it.
+//! [`Request`]: the properties of a job that the request list orders by. Update and loading threads.
 
 use super::ticket::Ticket;
 use crate::fetch::is_remote;

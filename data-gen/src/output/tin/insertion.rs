@@ -79,8 +79,8 @@ pub(crate) fn triangulate(surface: &Surface, edges: &[Vec<u16>; 4], limit_m: f64
     finish(surface, &net, at_samples_m)
 }
 
-/// Inserts the samples where the surface bends most, which nearly every triangulation needs: of each square of 3 x 3 samples the
-/// one that is farthest from the middle of its neighbours, if that is more than the allowed distance. Without them about the same
+/// Inserts the samples where the surface bends most. Nearly every triangulation needs them. Each square of 3 x 3 samples has one: the
+/// farthest from the middle of its neighbours, if that is more than the allowed distance. Without them about the same
 /// vertices would be found in more rounds over larger triangles.
 fn insert_bends(surface: &Surface, allowed_m: f64, net: &mut Triangulation) {
     /// The steps from one square to the next. Few far from each other come first, so that triangles are seldom long.

@@ -80,8 +80,8 @@ impl Surface {
         &self.values_m[first + from as usize..=first + to as usize]
     }
 
-    /// Returns how much the surface bends at samples of a row, from one column to the one before `end`, in metres: the distance from
-    /// the middle of the western and eastern neighbours, or of the southern and northern ones, whichever is larger.
+    /// Returns how much the surface bends at samples of a row, from one column to the one before `end`, in metres. A sample bends by its
+    /// distance from the middle of the western and eastern neighbours, or of the southern and northern ones, whichever is larger.
     #[inline(always)]
     pub fn bends_m(&self, j: i32, from: i32, end: i32) -> impl Iterator<Item = f64> {
         let [south, own, north] = [j - 1, j, j + 1].map(|j| self.row(j, from - 1, end));

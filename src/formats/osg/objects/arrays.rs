@@ -1,4 +1,4 @@
-//! Arrays, and what their elements belong to.
+//! Arrays of a geometry, with their bindings. Decode threads.
 
 use std::sync::Arc;
 

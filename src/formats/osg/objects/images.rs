@@ -1,4 +1,4 @@
-//! Images in files and beside them.
+//! Images of textures, inside of a file or beside it. Decode threads.
 
 /// An image.
 #[derive(Debug)]

@@ -1,4 +1,4 @@
-//! [`Inherited`]: what state sets pass on.
+//! [`Inherited`]: the state that nodes pass on to those below. Decode threads.
 
 /// OSG's flags.
 pub(in crate::formats::osg) const ON: u32 = 1;

@@ -1,4 +1,4 @@
-//! Shapes of ShapeDrawables, and heights.
+//! Shapes of ShapeDrawables, and height fields. Decode threads.
 
 use std::sync::Arc;
 
