@@ -296,7 +296,7 @@ fn flight_over_http_writes_a_trace() {
     let server = Server::start(&set, &["--error-rate", "0.2", "--seed", "5"]);
     let file = folder.path().join("trace.json");
     let out = Command::new(env!("CARGO_BIN_EXE_terrane"))
-        .args(["fly", &format!("http://{}/tileset.json", server.address), "--offscreen", "--frames", "30"])
+        .args(["fly", &format!("http://{}/tileset.json", server.address), "--offscreen", "--settle", "--frames", "30"])
         .args(["--size", "64x64", "--trace", file.to_str().unwrap()])
         .current_dir(folder.path())
         .output()
