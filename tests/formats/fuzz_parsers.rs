@@ -358,6 +358,9 @@ fn imagery() -> Parser {
         image_bytes(image::ImageFormat::Png),
         image_bytes(image::ImageFormat::Jpeg),
         image_bytes(image::ImageFormat::WebP),
+        image_bytes(image::ImageFormat::Gif),
+        image_bytes(image::ImageFormat::Bmp),
+        image_bytes(image::ImageFormat::Tiff),
         uastc_ktx2([9, 80, 200, 255], 3),
     ];
     Parser::new("imagery", seeds, move |bytes| {

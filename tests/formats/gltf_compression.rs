@@ -274,10 +274,18 @@ fn webp_and_ktx2_images_are_decoded() {
         }
     }
     // An image of another format leaves the fallback.
-    let read = textured("EXT_texture_webp", "image/webp", b"GIF89a", true).read();
+    let read = textured("EXT_texture_webp", "image/webp", b"\0\0\0 ftypavif", true).read();
     assert_eq!(read.mesh().1.material.texture.unwrap().mips[0][..4], [0, 0, 255, 255]);
-    assert_eq!(read.ignored.count("glTF: image that is neither PNG, JPEG, WebP, KTX2 nor DDS"), 1);
-    assert!(textured("EXT_texture_webp", "image/webp", b"GIF89a", false).read().mesh().1.material.texture.is_none());
+    assert_eq!(read.ignored.count("glTF: image that is neither PNG, JPEG, WebP, KTX2, DDS, GIF, BMP nor TIFF"), 1);
+    assert!(
+        textured("EXT_texture_webp", "image/webp", b"\0\0\0 ftypavif", false)
+            .read()
+            .mesh()
+            .1
+            .material
+            .texture
+            .is_none()
+    );
 }
 
 const BC: BlockFormats = BlockFormats { bc: true, ..BlockFormats::NONE };

@@ -33,6 +33,12 @@ impl FileFormat {
             Some(Self::Raster(ImageFormat::Jpeg))
         } else if bytes.starts_with(b"RIFF") && bytes.get(8..12) == Some(b"WEBP") {
             Some(Self::Raster(ImageFormat::WebP))
+        } else if bytes.starts_with(b"GIF8") {
+            Some(Self::Raster(ImageFormat::Gif))
+        } else if bytes.starts_with(b"BM") && bytes.get(6..10) == Some(&[0; 4]) {
+            Some(Self::Raster(ImageFormat::Bmp))
+        } else if bytes.starts_with(b"II*\0") || bytes.starts_with(b"MM\0*") {
+            Some(Self::Raster(ImageFormat::Tiff))
         } else if bytes.starts_with(KTX2_MAGIC) {
             Some(Self::Ktx2)
         } else if dds::is_dds(bytes) {
@@ -52,7 +58,7 @@ pub(in crate::formats) fn is_image(bytes: &[u8]) -> bool {
 pub(in crate::formats) fn size_of(uri: &str, bytes: &[u8], limits: &Limits) -> Result<[u32; 2], IoError> {
     let Some(FileFormat::Raster(format)) = FileFormat::of(bytes) else {
         refuse_markup(uri, bytes)?;
-        return Err(IoError::unsupported(uri, "image that is neither PNG, JPEG nor WebP"));
+        return Err(IoError::unsupported(uri, "image that is neither PNG, JPEG, WebP, GIF, BMP nor TIFF"));
     };
     let size = ImageReader::with_format(Cursor::new(bytes), format).into_dimensions();
     let (width, height) = size.map_err(|error| IoError::invalid(uri, format!("image: {error}")))?;
@@ -109,7 +115,10 @@ fn decode(
         }
         None => {
             refuse_markup(uri, bytes)?;
-            return Err(IoError::unsupported(uri, "image that is neither PNG, JPEG, WebP, KTX2 nor DDS"));
+            return Err(IoError::unsupported(
+                uri,
+                "image that is neither PNG, JPEG, WebP, KTX2, DDS, GIF, BMP nor TIFF",
+            ));
         }
     };
     Ok(texture_of(levels, format, sampling, limits))
@@ -139,7 +148,7 @@ fn texture_of(all: Levels, format: TexelFormat, sampling: Sampling, limits: &Lim
     Arc::new(Texture { width: side(width), height: side(height), format, mips, sampling })
 }
 
-/// Decodes a PNG, JPEG or WebP and builds its mip levels.
+/// Decodes a PNG, JPEG, WebP, GIF (its first picture), BMP or TIFF (its first page) and builds its mip levels.
 fn decode_raster(uri: &str, bytes: &[u8], format: ImageFormat, limits: &Limits) -> Result<Levels, IoError> {
     let bad = |e: image::ImageError| IoError::invalid(uri, format!("image: {e}"));
     let mut image_limits = ImageLimits::default();
@@ -179,5 +188,37 @@ mod tests {
         assert!(decoded.is_ok());
         assert_eq!(memory.total().bytes, 64 * 32 * 4 / 3 * 4);
         assert_eq!(size_of("a", &png, &limits).unwrap(), [64, 32]);
+    }
+
+    #[test]
+    fn formats_that_old_files_name_are_decoded() {
+        use image::ImageFormat::{Bmp, Gif, Tiff};
+        let corner = |bytes: &[u8]| {
+            let read = decode_file("a", bytes, &Limits::default()).unwrap();
+            assert_eq!((read.width, read.height, read.mips.len()), (4, 2, 3));
+            <[u8; 8]>::try_from(&read.mips[0][8..16]).unwrap()
+        };
+        let picture = image::RgbImage::from_fn(4, 2, |x, y| image::Rgb([x as u8 * 80, y as u8 * 255, 0]));
+        for format in [Bmp, Gif, Tiff] {
+            let mut file = Vec::new();
+            DynamicImage::ImageRgb8(picture.clone()).write_to(&mut Cursor::new(&mut file), format).unwrap();
+            assert!(is_image(&file));
+            assert_eq!(corner(&file), [160, 0, 0, 255, 240, 0, 0, 255], "{format:?}");
+            assert_eq!(size_of("a", &file, &Limits::default()).unwrap(), [4, 2], "{format:?}");
+            let half = &file[..file.len() / 2];
+            assert!(decode_file("a", half, &Limits::default()).is_err(), "{format:?}");
+            let small = Limits { max_image_bytes: 31, ..Limits::default() };
+            assert!(matches!(decode_file("a", &file, &small), Err(IoError::TooLarge { .. })), "{format:?}");
+        }
+        // Of an animation the first picture is shown; texels that are transparent stay so.
+        let frame = |alpha| image::Frame::new(image::RgbaImage::from_pixel(4, 2, image::Rgba([9, 8, 7, alpha])));
+        let mut file = Vec::new();
+        image::codecs::gif::GifEncoder::new(&mut file).encode_frames([frame(255), frame(0)]).unwrap();
+        assert_eq!(corner(&file), [9, 8, 7, 255, 9, 8, 7, 255]);
+        // Channels of 16 bits are rounded to 8.
+        let mut file = Vec::new();
+        let wide = image::ImageBuffer::from_pixel(4, 2, image::Rgb([0xffffu16, 0x8080, 0]));
+        DynamicImage::ImageRgb16(wide).write_to(&mut Cursor::new(&mut file), Tiff).unwrap();
+        assert_eq!(corner(&file), [255, 128, 0, 255, 255, 128, 0, 255]);
     }
 }

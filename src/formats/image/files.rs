@@ -16,7 +16,7 @@ type Known = (Arc<Texture>, Arc<[u8]>);
 pub struct ImageFiles(Arc<Mutex<HashMap<usize, Known>>>);
 
 impl ImageFiles {
-    /// Returns the file that a texture was decoded from: a JPEG, PNG, WebP, KTX2 or DDS. Returns `None` for a texture that was
+    /// Returns the file that a texture was decoded from: an image file of any format that is read. Returns `None` for a texture that was
     /// made of raw texels or converted.
     pub fn file_of(&self, texture: &Arc<Texture>) -> Option<Arc<[u8]>> {
         let known = self.0.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,4 +1,4 @@
-//! PNG, JPEG, WebP, KTX2 and DDS to textures with mip levels. CPU only; any thread.
+//! PNG, JPEG, WebP, GIF, BMP, TIFF, KTX2 and DDS to textures with mip levels. CPU only; any thread.
 
 mod block_decoder;
 mod block_encoder;
