@@ -39,7 +39,7 @@ fn several_views_open_as_a_file_says_with_separate_events() {
     let first = w.window;
     let (left, right) = ([0, 0, 200, 200], [200, 0, 200, 200]);
     w.until("views: first", |picture| [left, right].iter().all(|of| colours(&part(picture, *of)) > 100));
-    let both = w.at_rest("views: at rest");
+    let both = w.settled("views: at rest");
     assert!(differing(&part(&both, left), &part(&both, right)) > 0.2, "from two sides");
     w.window = w.wait_for("the other window", |w| w.find_named(b"other"));
     assert_eq!(w.place(), [500, 20, 200, 200]);
