@@ -423,9 +423,9 @@ fn mountains_of_a_globe_cast_shadows() {
     };
     let (higher, lower) = ((to_sun + 0.03 * up).normalize(), (to_sun - 0.03 * up).normalize());
     let (mut dark, mut lit, mut wrong) = (0, 0, 0);
-    for i in 0..110 {
-        for j in 0..110 {
-            let (u, v) = (0.32 + 0.36 * f64::from(i) / 110.0, 0.32 + 0.36 * f64::from(j) / 110.0);
+    for i in 0..60 {
+        for j in 0..60 {
+            let (u, v) = (0.32 + 0.36 * f64::from(i) / 60.0, 0.32 + 0.36 * f64::from(j) / 60.0);
             let clip =
                 camera.clip_from_eye.project_point3(camera.eye_from_world.transform_point3(terrain.world(u, v, 0.0)));
             let (x, y) = ((clip.x * 0.5 + 0.5) * 256.0, (0.5 - clip.y * 0.5) * 192.0);
@@ -448,7 +448,7 @@ fn mountains_of_a_globe_cast_shadows() {
             *(if expected { &mut dark } else { &mut lit }) += 1;
         }
     }
-    assert!(dark > 150 && lit > 2_000, "{dark} dark, {lit} lit");
+    assert!(dark > 40 && lit > 600, "{dark} dark, {lit} lit");
     assert!(wrong * 25 <= dark + lit, "{wrong} of {} differ from the rays", dark + lit);
     rig.release(scene);
 }

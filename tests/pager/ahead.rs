@@ -377,6 +377,8 @@ fn new_path_is_used_at_once() {
     let mut viewer = Viewer::new_offscreen(&config).unwrap();
     viewer.load(folder.path().to_str().unwrap()).unwrap();
     viewer.view_mut().camera.world_from_eye = DAffine3::from_translation(HERE);
+    // The time of the application, in which levels fade, hardly passes here.
+    viewer.view_mut().camera.settings.lod_fade_s = 0.0;
     let path = |end: DVec3| {
         let point = |at_s: f64, eye| ControlPoint::from_pose(at_s, &DAffine3::from_translation(eye));
         AnimationPath::new(vec![point(0.0, HERE), point(500.0, end)]).unwrap()

@@ -13,7 +13,7 @@ use terrane::viewer::{CompositeViewer, ThreadingModel, View, ViewerConfig};
 
 /// Returns the number of frames of a seed.
 fn frames() -> u32 {
-    if kit::long_tests() { 6 } else { 4 }
+    if kit::long_tests() { 6 } else { 3 }
 }
 
 /// A graph, and the scene that must look like it.

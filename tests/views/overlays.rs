@@ -44,7 +44,12 @@ fn picture(viewer: &mut CompositeViewer, context: ContextId) -> RgbaImage {
 
 #[test]
 fn each_view_has_an_overlay_over_its_part() {
-    for threading in ThreadingModel::ALL {
+    use ThreadingModel::{CullDrawThreadPerContext, CullThreadPerCameraDrawThreadPerContext};
+    let models: &[ThreadingModel] = match kit::long_tests() {
+        true => &ThreadingModel::ALL,
+        false => &[CullDrawThreadPerContext, CullThreadPerCameraDrawThreadPerContext],
+    };
+    for &threading in models {
         let config = config(threading, [400, 160]);
         let Some(context) = or_skip(GraphicsContext::new_offscreen(&config.traits())) else { return };
         let mut viewer = CompositeViewer::new(&config).unwrap();

@@ -66,8 +66,8 @@ fn picks_hit_the_visible_ground() {
 
         let (mut judged, mut sky) = (0, 0);
         let mut places = Vec::new();
-        for y in (3..SIZE_PX[1] - 3).step_by(6) {
-            for x in (3..SIZE_PX[0] - 3).step_by(8) {
+        for y in (3..SIZE_PX[1] - 3).step_by(12) {
+            for x in (3..SIZE_PX[0] - 3).step_by(16) {
                 let hits =
                     viewer.compute_intersections(f64::from(x) + 0.5, f64::from(y) + 0.5, IntersectionLimit::Nearest);
                 let around = [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, 1), (-1, 1), (1, -1)];
@@ -79,7 +79,7 @@ fn picks_hit_the_visible_ground() {
                     sky += u32::from(!shown);
                     assert_eq!(!hits.is_empty(), shown, "{content:?} {x} {y}");
                 }
-                if let (Some(hit), true) = (hits.first(), x % 16 == 3 && y % 12 == 3) {
+                if let Some(hit) = hits.first() {
                     // The point lies behind its pixel.
                     let in_eye = viewer.view().camera.world_from_eye.inverse().transform_point3(hit.world_point());
                     let clip = viewer.view().camera.clip_from_eye(SIZE_PX, 0.1) * in_eye.extend(1.0);
@@ -90,7 +90,7 @@ fn picks_hit_the_visible_ground() {
                 }
             }
         }
-        assert!(judged > 750 && sky > 50 && places.len() > 100, "{judged} {sky} {}", places.len());
+        assert!(judged > 180 && sky > 12 && places.len() > 100, "{judged} {sky} {}", places.len());
 
         // Balls at picked points are half in the ground and visible. Balls behind them are hidden, except where the
         // ground is seen along its slope.

@@ -13,7 +13,7 @@ use terrane_data_gen::{Color, ContentKind};
 
 /// Returns the number of frames of a flight.
 fn frames() -> u32 {
-    if kit::long_tests() { 100 } else { 40 }
+    if kit::long_tests() { 100 } else { 30 }
 }
 
 /// The treatment of a set in a flight.

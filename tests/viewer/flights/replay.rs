@@ -11,7 +11,7 @@ use terrane::pager::{PagerConfig, PagerStats};
 use terrane::scene::SlotState;
 use terrane::viewer::{SetBounds, ThreadingModel, Viewer, ViewerConfig};
 
-const FRAMES: u32 = 60;
+const FRAMES: u32 = 45;
 
 /// The tiles of a scene after a frame, as numbers in the root's page, which has all of them.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::files::{MANIFEST, files_below};
 use crate::tiffs::{Image, Values, tiff};
-use terrane_data_gen::{Color, ContentKind, GenArgs, OutputArgs, RunArgs, run};
+use terrane_data_gen::{Color, ContentKind, GenArgs, OutputArgs, RunArgs, TileArgs, run};
 
 /// The size of a pixel in degrees: 10 seconds.
 const PIXEL: f64 = 1.0 / 360.0;
@@ -89,10 +89,11 @@ fn changed_source_makes_only_the_blocks_that_it_touches_again() {
     let other = at("d.tif", [7.205, 46.195], 5);
     check(&set(&[&other, &south_west, &north_east, &middle]));
     // Other options keep nothing, and the result is right.
-    let options = GenArgs { content: ContentKind::Mesh, ..all.clone() };
+    let stepped = TileArgs { height_step: Some(0.5), ..TileArgs::default() };
+    let options = GenArgs { tiles: stepped.clone(), ..all.clone() };
     assert!(check(&options).contains("options"), "other options");
     let wider = at("e.tif", [7.6, 46.4], 6);
-    let note = check(&GenArgs { content: ContentKind::Mesh, ..set(&[&south_west, &north_east, &wider]) });
+    let note = check(&GenArgs { tiles: stepped, ..set(&[&south_west, &north_east, &wider]) });
     assert!(note.contains("bounds") && note.contains("--aligned"), "{note}");
 }
 
