@@ -9,6 +9,9 @@ use super::{Basin, FAR_M, Ground, Scratch, add_noise, part_seed, smooth, wide};
 
 /// Depth of the sea from which on rivers have no effect.
 const SEA_M: f32 = -40.0;
+/// No river is deeper than this, and what is added for each metre from the bank. Their beds have a third of it.
+const MAX_DEPTH_M: f32 = 3.0;
+const MAX_DEPTH_PER_M: f32 = 0.2;
 
 /// Returns the larger value, rounded where they differ by less than `width`, and exact elsewhere.
 fn round_max(a: f32, b: f32, width: f32) -> f32 {
@@ -340,7 +343,9 @@ impl Relief {
                 out.depth_m[k] = out.depth_m[k].max(depth_m - 30.0 * buried);
             }
             if stream_m < 0.0 {
-                surface_m = surface_m.max(river_m);
+                // A river ends above the deeper valley of another one: its water would be a wall in the air.
+                let has_bed = river_m - surface_m < MAX_DEPTH_M - MAX_DEPTH_PER_M * stream_m;
+                (surface_m, stream_m) = if has_bed { (surface_m.max(river_m), stream_m) } else { (surface_m, 0.0) };
             }
             if self.rivers.flow == Flow::Ice {
                 out.cover[k] = smooth(20.0, -40.0, stream_m);
@@ -467,5 +472,20 @@ mod tests {
             }
         }
         assert!(lakes > 8, "{lakes} lakes");
+    }
+
+    /// Regression: where a river began above the valley of another one, its water was a wall of 160 m, as wide as the river.
+    #[test]
+    fn water_lies_on_its_bed() {
+        let world = World::new(WorldPreset::Islands, 7);
+        let (longitude, latitude) = (9.788_35f64.to_radians(), 12.146_89f64.to_radians());
+        let mut row = RowBuffers::default();
+        let longitudes = meridians((-30..=30).map(|k| longitude + f64::from(k) * 4.0 / RADIUS_M));
+        world.ground_row(&longitudes, latitude, &mut row);
+        let ground = &row.ground;
+        assert!(ground.stream_m.iter().any(|stream_m| *stream_m < -5.0), "{:?}", ground.stream_m);
+        for (surface_m, bed_m) in ground.surface_m.iter().zip(&ground.bed_m) {
+            assert!(surface_m - bed_m < 5.0, "water at {surface_m} m over {bed_m} m");
+        }
     }
 }
