@@ -107,7 +107,7 @@ impl ListChanges {
     pub fn write(&mut self, list: &mut ListState<PageJob>) {
         self.removed.drain(..).for_each(|ticket| list.remove(ticket));
         self.added.drain(..).for_each(|(job, urgency, first_frame)| list.insert(job, urgency, first_frame));
-        list.set_urgencies(&mut self.urgencies);
+        list.set_urgencies(&self.urgencies);
         self.urgencies.clear();
     }
 }
