@@ -1,7 +1,8 @@
 //! The names that the first hundred lines of an application need: `use terrane::prelude::*;`.
 //!
 //! It has the viewer and its configuration, the types of which scenes are built, and the vector types of their signatures.
-//! Everything else is imported from its module, for example manipulators from [`viewer::manipulators`](crate::viewer::manipulators).
+//! Everything else is imported from its module, for example manipulators from
+//! [`viewer::manipulators`](crate::viewer::manipulators).
 
 pub use glam::{DAffine3, DMat4, DQuat, DVec2, DVec3};
 

@@ -80,8 +80,8 @@ pub struct GenArgs {
     /// Width in metres of the band in which an elevation file blends into those below it
     #[arg(long, value_name = "M", default_value_t = 0.0)]
     pub blend: f64,
-    /// Colour: GeoTIFF, VRT, PMTiles or MBTiles; PNG, JPEG or WebP with a world file; a folder of them or of web tiles z/x/y.png; a
-    /// pattern or a list. The first is above the others
+    /// Colour: GeoTIFF, VRT, PMTiles or MBTiles; PNG, JPEG or WebP with a world file; a folder of them or of web tiles
+    /// z/x/y.png; a pattern or a list. The first is above the others
     #[arg(long, value_name = "FILE", num_args = 1..)]
     pub imagery: Vec<PathBuf>,
     /// Colour of the tiles: natural colours by height and slope where there is no imagery, or none
@@ -91,7 +91,8 @@ pub struct GenArgs {
     /// (+proj=...)
     #[arg(long, value_name = "CODE", value_parser = Crs::parse)]
     pub epsg: Option<Crs>,
-    /// Grid in the format NTv2 (.gsb) or GeoTIFF (of PROJ) that shifts the datum of sources to WGS84, in place of EPSG's parameters
+    /// Grid in the format NTv2 (.gsb) or GeoTIFF (of PROJ) that shifts the datum of sources to WGS84, in place of EPSG's
+    /// parameters
     #[arg(long, value_name = "FILE")]
     pub datum_grid: Option<PathBuf>,
     /// Surface that the heights of --dem are measured from: ellipsoid, egm96, egm2008, or a geoid grid of PROJ (GTX, GeoTIFF)

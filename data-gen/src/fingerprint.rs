@@ -1,5 +1,5 @@
-//! The fingerprint of a run: a hash of the options that change the bytes of the set, of the sources, and of this version. Runs with equal
-//! fingerprints make equal sets, so that one continues what another has begun.
+//! The fingerprint of a run: a hash of the options that change the bytes of the set, of the sources, and of this version. Runs
+//! with equal fingerprints make equal sets, so that one continues what another has begun.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -28,8 +28,9 @@ pub(crate) fn remove(folder: &Path) {
     unfinished.retain(|run| run.folder != folder);
 }
 
-/// Makes Ctrl-C and SIGTERM end the program with exit code 130 and a line on standard error, which begins with the program's name:
-/// what an unfinished run leaves, and how to continue it. Folders that no run continues are removed. Call it once, before a run.
+/// Makes Ctrl-C and SIGTERM end the program with exit code 130 and a line on standard error, which begins with the program's
+/// name: what an unfinished run leaves, and how to continue it. Folders that no run continues are removed. Call it once, before
+/// a run.
 #[cfg(unix)]
 pub fn exit_on_interrupt(program: &'static str) -> std::io::Result<()> {
     use std::io::{IsTerminal as _, Write as _};

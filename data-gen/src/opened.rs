@@ -157,8 +157,8 @@ fn terrain(
     Ok(Terrain { source, extent: e, ellipsoid, step, levels, is_fine, places, pixel, notes, context: Some(context) })
 }
 
-/// Returns the ellipsoid of the body that elevation is of: that of `--body`, or of the reference systems of the files. Files of different
-/// bodies are an error.
+/// Returns the ellipsoid of the body that elevation is of: that of `--body`, or of the reference systems of the files. Files of
+/// different bodies are an error.
 fn ellipsoid_of(args: &GenArgs, rasters: &[Raster]) -> Result<Ellipsoid, GenError> {
     let mut found = args.output.body.map(|body| (body.0, "--body".to_owned()));
     for raster in rasters {

@@ -1,5 +1,5 @@
-//! Predicts the tiles, the bytes and the time of a run. Tiles are counted; bytes and time are those of a few tiles that are made in
-//! a temporary folder.
+//! Predicts the tiles, the bytes and the time of a run. Tiles are counted; bytes and time are those of a few tiles that are
+//! made in a temporary folder.
 
 use std::collections::HashSet;
 use std::fmt::{self, Display, Formatter};
@@ -151,8 +151,8 @@ fn count_tiles(grid: &Grid<'_>, plan: &Plan) -> (Vec<u64>, Vec<TileKey>) {
     (counts, roots)
 }
 
-/// Makes subtrees of the finest levels inside some blocks. A run samples whole blocks, whose margins and sources cost less for each tile
-/// than those of small subtrees. So the sampling of blocks and the writing of tiles are timed each on its own.
+/// Makes subtrees of the finest levels inside some blocks. A run samples whole blocks, whose margins and sources cost less for
+/// each tile than those of small subtrees. So the sampling of blocks and the writing of tiles are timed each on its own.
 fn sample(args: &GenArgs, opened: &Opened<'_>, blocks: &[TileKey], places: usize) -> Result<Sample, GenError> {
     let grid = opened.grid;
     let layer = Layer { root: grid.levels.saturating_sub(SAMPLE_LEVELS), finest: grid.levels - 1 };
@@ -265,8 +265,8 @@ pub(crate) fn predict_terrain(
     })
 }
 
-/// Predicts a set of a world. Some tiles are made for their bytes, and then the neighbour of each for the time: a run makes neighbours
-/// one after the other too, which have rivers in common.
+/// Predicts a set of a world. Some tiles are made for their bytes, and then the neighbour of each for the time: a run makes
+/// neighbours one after the other too, which have rivers in common.
 pub(crate) fn predict_world(set: &WorldSet, out: &Path) -> Result<Prediction, GenError> {
     let begin = Instant::now();
     set.level_errors_m();

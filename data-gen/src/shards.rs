@@ -1,7 +1,7 @@
 //! Parts of a set that are made by several processes or machines: the options, the plan, and the folders of shards.
 //!
-//! A shard has every block of the finest layer of its part. Its folder lies beside OUT and has a manifest with a hash of each file. When
-//! all shards are there, their files are moved into one folder, in which the run then finds the blocks complete.
+//! A shard has every block of the finest layer of its part. Its folder lies beside OUT and has a manifest with a hash of each
+//! file. When all shards are there, their files are moved into one folder, in which the run then finds the blocks complete.
 
 use std::path::{Path, PathBuf};
 
@@ -91,8 +91,8 @@ impl Shard {
     }
 }
 
-/// Returns the plan of the shards of a set as JSON. `blocks` are the roots of the finest layer's blocks, `tiles` the number of tiles of
-/// each at most. Those that are `complete` are marked.
+/// Returns the plan of the shards of a set as JSON. `blocks` are the roots of the finest layer's blocks, `tiles` the number of
+/// tiles of each at most. Those that are `complete` are marked.
 pub(crate) fn plan(
     count: u32,
     fingerprint: u64,

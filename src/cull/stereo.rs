@@ -1,4 +1,4 @@
-//! Stereo: the modes of OSG's display settings, and view and projection of each eye.
+//! Stereo: the modes of OSG's display settings, and view and projection of each eye. Plain values.
 
 use glam::{DAffine3, DMat4, DVec3};
 

@@ -1,12 +1,12 @@
 //! Callbacks of render bins, and the drawing of a stage's bins one by one around them. Draw thread.
 
-use crate::state::{DataVariance, OpaqueDrawData};
 use std::ops::Range;
 use std::sync::Arc;
 
 use super::callbacks::info::RenderInfo;
 use super::recorder::{DrawSources, PassRecorder};
 use crate::cull::{RenderBin, RenderStage};
+use crate::state::{DataVariance, OpaqueDrawData};
 
 type OnBin = Box<dyn Fn(&RenderInfo<'_>, &mut BinDrawing<'_, '_, '_>) + Send + Sync>;
 

@@ -1,4 +1,4 @@
-//! [`IoError`]: everything that can fail between a URI and a page.
+//! [`IoError`]: everything that can fail between a URI and a page. Plain values.
 
 use std::net::IpAddr;
 use std::path::PathBuf;

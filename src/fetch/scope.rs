@@ -1,4 +1,4 @@
-//! The root of a tile set, and the URIs that its files may refer to.
+//! The root of a tile set, and the URIs that its files may refer to. Any thread.
 //!
 //! References must stay below the folder of the root (files), on http(s) (servers), or in its bucket (object stores).
 //! So a foreign tile set can neither open local files nor misuse the user's keys for other buckets. Which servers it reaches

@@ -9,7 +9,7 @@ use std::time::Duration;
 use super::error::IoError;
 
 /// The number of works of one [`DiskThread`] that may hang at once. The pager's file threads have a limit of their own.
-const MAX_HUNG: usize = 3;
+const MAX_HUNG_WORKS: usize = 3;
 
 /// Runs work on a new thread and waits for it. Returns `None` if it takes longer than `limit`, or if the system starts no more
 /// threads.
@@ -30,7 +30,7 @@ fn spawn(run: impl FnOnce() + Send + 'static) -> Option<JoinHandle<()>> {
 type Work = Box<dyn FnOnce() + Send>;
 
 /// A thread that does one work after another for a caller that waits for each, at less cost than a thread for each. A work that
-/// hangs is an error after a time limit, and another thread takes the place of its own. While [`MAX_HUNG`] of them hang,
+/// hangs is an error after a time limit, and another thread takes the place of its own. While [`MAX_HUNG_WORKS`] of them hang,
 /// further works fail at once, so that a large set on a broken disk comes to an end.
 #[derive(Debug)]
 pub(super) struct DiskThread {
@@ -50,7 +50,8 @@ impl DiskThread {
     /// Does work on a file.
     ///
     /// # Errors
-    /// [`IoError::Timeout`] if it takes longer than the limit, [`IoError::File`] while too many others hang. Else those of the work.
+    /// [`IoError::Timeout`] if it takes longer than the limit, [`IoError::File`] while too many others hang. Else those of the
+    /// work.
     pub fn run<T: Send + 'static>(
         &self,
         uri: &str,
@@ -59,9 +60,9 @@ impl DiskThread {
         let failed = |reason: String| IoError::File { uri: uri.to_owned(), reason, may_pass: true };
         let mut hung = self.hung.borrow_mut();
         hung.retain(|thread| !thread.is_finished());
-        if hung.len() >= MAX_HUNG {
+        if hung.len() >= MAX_HUNG_WORKS {
             let seconds = self.limit.as_secs_f64();
-            return Err(failed(format!("not read, since {MAX_HUNG} other files take longer than {seconds} s")));
+            return Err(failed(format!("not read, since {MAX_HUNG_WORKS} other files take longer than {seconds} s")));
         }
         let (answer, answered) = sync_channel(1);
         let mut work: Work = Box::new(move || {
@@ -120,7 +121,7 @@ mod tests {
         assert_eq!(quick.run("a", move || Ok(thread())), first, "one thread does all work");
         let disk = DiskThread::new(SHORT);
         let mut releases = Vec::new();
-        for _ in 0..MAX_HUNG {
+        for _ in 0..MAX_HUNG_WORKS {
             let (release, hangs) = channel::<()>();
             let error = disk.run("b", move || Ok(hangs.recv().is_err())).unwrap_err();
             assert_eq!(error.to_string(), "b: timed out after 0.02 s (reading the file)");

@@ -1,4 +1,5 @@
-//! Instanced 3D Model (3D Tiles 1.0, `i3dm`): a header, tables, and a glTF that is drawn once for each instance.
+//! Instanced 3D Model (3D Tiles 1.0, `i3dm`): a header, tables, and a glTF that is drawn once for each instance. Decode
+//! threads.
 //!
 //! Every instance becomes a transform above drawables that all instances share, so that the mesh is decoded and uploaded
 //! once. Positions are z-up in the tile's frame; the model is rotated to z-up before its instance transform applies.

@@ -1,4 +1,5 @@
 //! [`ReadOptions`] and [`Content`]: the input of all decoders. And [`ContentReader`], for formats of an application's own.
+//! Shared by all decode threads.
 
 use std::sync::Arc;
 

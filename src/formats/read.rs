@@ -1,5 +1,5 @@
 //! Decodes the bytes of one content to a page. Formats are recognized by magic bytes, never by file extension, but for
-//! quantized-mesh, which has none.
+//! quantized-mesh, which has none. Decode threads.
 
 use std::sync::Arc;
 

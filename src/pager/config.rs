@@ -1,4 +1,4 @@
-//! [`PagerConfig`] and [`PagerError`].
+//! [`PagerConfig`]: the threads, budgets, limits and time spans of a pager; and [`PagerError`], why it cannot start.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -32,8 +32,8 @@ pub struct PagerConfig {
     pub max_bytes_cpu: u64,
     /// Maximum CPU bytes of what is on its way: half of it for files and answers of servers until they are decoded, half for
     /// pages until they are merged. Loads wait for room before they begin. A content that is larger than that is loaded
-    /// alone. While it is decoded, a page counts twice, for what its decoder needs. Not counted: files that a local content refers
-    /// to, and the file of a root.
+    /// alone. While it is decoded, a page counts twice, for what its decoder needs. Not counted: files that a local content
+    /// refers to, and the file of a root.
     pub max_bytes_loading: u64,
     /// Maximum GPU bytes of pages that are merged or uploaded. A page's size is known after its upload; until then the mean
     /// of recent pages is reserved. A page that turns out larger than the free room is declined at once.

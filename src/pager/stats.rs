@@ -1,4 +1,4 @@
-//! Counters and failures of the pager. Each event is counted where it happens.
+//! Counters and failures of the pager. Each event is counted where it happens. Update thread.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

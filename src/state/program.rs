@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 /// WGSL that replaces the shading of meshes and height tiles.
 ///
-/// The source is appended to `shared/frame.wgsl` and `meshes/mesh_vertex.wgsl` in `src/draw/shaders`, which declare `frame`, `leaves`,
-/// `MeshVertex` and `point_in_eye`. It has a vertex entry point `vs_main(vertex: MeshVertex, @builtin(instance_index)
+/// The source is appended to `shared/frame.wgsl` and `meshes/mesh_vertex.wgsl` in `src/draw/shaders`, which declare `frame`,
+/// `leaves`, `MeshVertex` and `point_in_eye`. It has a vertex entry point `vs_main(vertex: MeshVertex, @builtin(instance_index)
 /// instance: u32)` and a fragment entry point `fs_main`. It may declare
 /// ```text
 /// struct Uniforms { tint: vec4<f32>, osg_SimulationTime: f32, ... }

@@ -301,7 +301,8 @@ impl Default for Stencil {
     }
 }
 
-/// The part of the target that is drawn to where [`Mode::ScissorTest`](super::Mode::ScissorTest) is on; pixels, origin upper left.
+/// The part of the target that is drawn to where [`Mode::ScissorTest`](super::Mode::ScissorTest) is on; pixels, origin upper
+/// left.
 #[allow(missing_docs, reason = "self-explaining")]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Scissor {

@@ -39,7 +39,8 @@ pub struct StateSet {
     pub attributes: Vec<(Attribute, StateValue)>,
     /// Uniforms of programs with their flags, see [`Self::set_uniform`].
     pub uniforms: Vec<(Uniform, StateValue)>,
-    /// [`DataVariance::Dynamic`] for a set that will soon be replaced: such sets are not shared between pages unless a pager's [`ShareModes`](crate::scene::ShareModes) say so.
+    /// [`DataVariance::Dynamic`] for a set that will soon be replaced: such sets are not shared between pages unless a pager's
+    /// [`ShareModes`](crate::scene::ShareModes) say so.
     pub data_variance: DataVariance,
 }
 

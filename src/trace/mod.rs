@@ -17,8 +17,8 @@
 //! requests        [ asked for ............................. merged ]
 //! ```
 //!
-//! The `gpu` line of a context has its passes as the adapter timed them, if it can: `src/gpu/context/adapter_clock.rs` describes how its clock
-//! is mapped to ours.
+//! The `gpu` line of a context has its passes as the adapter timed them, if it can: `src/gpu/context/adapter_clock.rs`
+//! describes how its clock is mapped to ours.
 
 mod buffers;
 mod chrome;

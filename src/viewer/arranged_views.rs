@@ -3,31 +3,18 @@
 
 use super::ViewerError;
 use super::composite::CompositeViewer;
-use super::config::{CameraSetup, ViewCamera, ViewSetup, ViewsSetup, WindowSetup};
+use super::config::{ViewCamera, ViewSetup, ViewsSetup, WindowSetup};
 use super::frame::ViewerConfig;
-
 use super::ids::{ContextId, SceneId, ViewId};
 use super::paging::LoadedRoot;
-use super::view::Slave;
-use crate::scene::Sky;
-
-use crate::gpu::{ContextTraits, GraphicsContext};
+use crate::gpu::GraphicsContext;
 use crate::pager::PagerConfig;
+use crate::scene::Sky;
 
 impl ViewsSetup {
     /// Reads the roots of all scenes; blocks until they are read. Any thread.
     pub fn read_roots(&self, config: &PagerConfig) -> Result<Vec<LoadedRoot>, ViewerError> {
         self.scenes.iter().map(|scene| LoadedRoot::read(&scene.source, config)).collect()
-    }
-
-    /// Returns the traits of the context of a window.
-    pub(super) fn traits(&self, config: &ViewerConfig, window: &WindowSetup, size_px: [u32; 2]) -> ContextTraits {
-        ContextTraits {
-            size_px,
-            samples: window.samples.unwrap_or(config.samples),
-            vsync: window.vsync.unwrap_or(config.vsync),
-            ..config.traits()
-        }
     }
 }
 
@@ -53,7 +40,7 @@ impl ArrangedViews {
         own: Option<LoadedRoot>,
     ) -> Result<Self, ViewerError> {
         Self::new(setup, config, roots, own, |viewer, place, window| {
-            let traits = setup.traits(config, window, window.size_px.unwrap_or(config.size_px));
+            let traits = window.traits(config, window.size_px.unwrap_or(config.size_px));
             let first = viewer.contexts().next().filter(|_| window.shares_device && place > 0);
             match first {
                 Some(first) => viewer.open_offscreen_on(first, &traits),
@@ -126,9 +113,7 @@ fn add_view(
         view.environment.fog.enabled = false;
     }
     for slave in slaves {
-        let CameraSetup { viewport, projection_offset, view_offset, eyes, .. } = slave.camera;
-        let slave = Slave { viewport, projection_offset, view_offset, eyes, ..Slave::new(context(slave)?) };
-        viewer.add_slave(id, slave)?;
+        viewer.add_slave(id, slave.camera.slave_in(context(slave)?))?;
     }
     Ok(id)
 }

@@ -4,10 +4,10 @@
 //! on the scene. It is set after cull, from the nearest object that cull kept: neither a fast approach nor a near model is
 //! ever clipped.
 
-use crate::scene::CullSettings;
 use glam::{DAffine3, DMat3, DMat4, DVec3};
 
 use crate::cull::CullCamera;
+use crate::scene::CullSettings;
 
 /// An angle of view, and the side of the image that it spans.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,7 +40,8 @@ pub enum ResizePolicy {
 
 /// Pose and lens of one view.
 ///
-/// Manipulators write the pose in each update. Without one, the application does, before [`Viewer::frame`](crate::viewer::Viewer::frame):
+/// Manipulators write the pose in each update. Without one, the application does, before
+/// [`Viewer::frame`](crate::viewer::Viewer::frame):
 ///
 /// ```
 /// use terrane::glam::DVec3;

@@ -73,7 +73,7 @@ impl FrameTimer {
         self.clock.seconds_at(time)
     }
 
-    /// The clock of the reference time, for events.
+    /// Returns the clock of the reference time, for events.
     pub(in crate::viewer) fn clock(&self) -> &ReferenceClock {
         &self.clock
     }
@@ -91,7 +91,7 @@ impl FrameTimer {
         self.delta_s
     }
 
-    /// The times that shader programs see.
+    /// Returns the times that shader programs see.
     pub(super) fn shader_clock(&self) -> FrameClock {
         FrameClock {
             reference_time_s: self.stamp.reference_time_s,

@@ -11,14 +11,13 @@ use image::RgbaImage;
 use super::ViewerError;
 use super::clock::FrameStamp;
 use super::frame::{EnvironmentChanges, FrameLoop, StatsHistory, ViewerConfig};
-use super::ids::{ContextId, KeyedList, SceneId, SlaveId, ViewId};
+use super::ids::{ContextId, KeyedList, PagerId, SceneId, SlaveId, ViewId};
 use super::input::{GuiActionAdapter, changes, needs_frame};
 use super::paging::{LoadedRoot, MAX_SCENES, PagedScene, SceneList, SceneUpdate, free_owner};
 use super::rendering::ThreadingModel;
 use super::view::set_bounds::SetBounds;
 use super::view::viewport::ViewArea;
 use super::view::{Slave, View, ViewList};
-
 use crate::formats::OverlaySet;
 use crate::gpu::CompileBudget;
 use crate::pager::{DatabasePager, ImagePager, ImageSequence};
@@ -71,7 +70,7 @@ impl CompositeViewer {
         self.push_scene(Some(pager))
     }
 
-    fn push_scene(&mut self, shared: Option<super::ids::PagerId>) -> Result<SceneId, ViewerError> {
+    fn push_scene(&mut self, shared: Option<PagerId>) -> Result<SceneId, ViewerError> {
         let owner = free_owner(self.scenes.values().map(PagedScene::owner));
         let owner = owner.ok_or(ViewerError::TooManyScenes { limit: MAX_SCENES })?;
         let pager = self.frame.pagers.assign(self.scenes.next_key(), shared);
@@ -97,7 +96,7 @@ impl CompositeViewer {
         Ok(())
     }
 
-    /// The scenes, in the order added.
+    /// Returns the scenes, in the order added.
     pub fn scenes(&self) -> impl Iterator<Item = SceneId> {
         self.scenes.iter().map(|(id, _)| id)
     }
@@ -308,7 +307,7 @@ impl CompositeViewer {
         Ok(())
     }
 
-    /// The views, in the order added.
+    /// Returns the views, in the order added.
     pub fn views(&self) -> impl Iterator<Item = (ViewId, &View)> {
         self.views.iter()
     }
@@ -547,7 +546,7 @@ impl CompositeViewer {
         }
     }
 
-    /// True when the pager of a view's scene is idle and the last frame showed everything.
+    /// Returns true when the pager of a view's scene is idle and the last frame showed everything.
     pub(super) fn has_loaded_all(&self, view: ViewId) -> bool {
         let scene = &self.scenes[self.views[view].scene()];
         self.frame.pager_of(scene).is_settled(&self.scenes)

@@ -51,8 +51,8 @@ impl CompositeViewer {
         self.frame.close_context(id, &mut self.views, &mut self.scenes)
     }
 
-    /// The open contexts, by the screens of their windows and by position, x before y ([`ContextTraits::screen`]), then in the
-    /// order opened.
+    /// Returns the open contexts, by the screens of their windows and by position, x before y ([`ContextTraits::screen`]), then
+    /// in the order opened.
     pub fn contexts(&self) -> impl Iterator<Item = ContextId> {
         self.frame.rendering.context_ids().map(ContextId)
     }
@@ -83,8 +83,8 @@ impl CompositeViewer {
 
     /// Creates the pipelines that views need after a change of light 0 or of the stencil, before the frame that shows the change.
     /// Changes of the environment need no announcement where they wait for their pipelines
-    /// ([`EnvironmentChanges`](super::EnvironmentChanges)). What is loaded later gets both kinds of pipelines. The devices' threads do this between two
-    /// frames; the first draw with a pipeline may still be slow on software drivers. See
+    /// ([`EnvironmentChanges`](super::EnvironmentChanges)). What is loaded later gets both kinds of pipelines. The devices'
+    /// threads do this between two frames; the first draw with a pipeline may still be slow on software drivers. See
     /// [`Renderer::prewarm_change`](crate::draw::Renderer::prewarm_change) for what is not covered.
     pub fn prewarm_change(&mut self, change: &ViewChange) {
         self.frame.prewarm_change(change);

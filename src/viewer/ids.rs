@@ -58,7 +58,7 @@ impl<K: ListKey, V> KeyedList<K, V> {
         Self { entries: Vec::new(), next: 0 }
     }
 
-    /// The id that the next entry gets.
+    /// Returns the id that the next entry gets.
     pub(super) fn next_key(&self) -> K {
         K::from_number(self.next)
     }

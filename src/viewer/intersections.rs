@@ -35,7 +35,7 @@ impl Viewer {
         polytope.take_intersections()
     }
 
-    /// The master camera's view with the near plane of the last frame, which follows what is drawn.
+    /// Returns the master camera's view with the near plane of the last frame, which follows what is drawn.
     fn drawn_view(&self) -> WindowView {
         let (frame, view, _) = self.parts();
         let master = view.master.map(|slot| slot.camera);

@@ -52,7 +52,7 @@ impl CompositeViewer {
         operations.run_operations(self);
     }
 
-    /// True while an operation waits for a frame.
+    /// Returns true while an operation waits for a frame.
     pub(super) fn has_operations(&self) -> bool {
         !self.update_operations.is_empty() || self.frame.rendering.has_operations()
     }

@@ -276,7 +276,7 @@ impl Viewer {
         self.composite.open_context(context)
     }
 
-    /// The open contexts, by screen and position; see [`CompositeViewer::contexts`].
+    /// Returns the open contexts, by screen and position; see [`CompositeViewer::contexts`].
     pub fn contexts(&self) -> impl Iterator<Item = ContextId> {
         self.composite.contexts()
     }

@@ -1,4 +1,4 @@
-//! The arguments of every subcommand.
+//! The arguments of every subcommand of `terrane`, as clap parses them.
 
 use std::path::PathBuf;
 
@@ -120,7 +120,8 @@ pub struct SceneArgs {
 // More than 16 fields: one for each option.
 #[derive(Clone, Debug, Default, ClapArgs)]
 pub struct FlyArgs {
-    /// Folder, tileset.json, layer.json, archive (.3tz, .zip, .terrane), http(s) URL, s3://, gs:// or az:// URI, ion:ASSET_ID, google or globe; without it a small set is generated in the user's cache folder
+    /// Folder, tileset.json, layer.json, archive (.3tz, .zip, .terrane), http(s) URL, s3://, gs:// or az:// URI, ion:ASSET_ID,
+    /// google or globe; without it a small set is generated in the user's cache folder
     pub source: Option<String>,
     /// Camera path in OpenSceneGraph's text format, a line `t px py pz qx qy qz qw` per point [default: approach, fly low,
     /// orbit]
@@ -217,7 +218,8 @@ pub struct FlyArgs {
 
 #[derive(Clone, Debug, ClapArgs)]
 pub struct ViewArgs {
-    /// Folder, tileset.json, layer.json, archive (.3tz, .zip, .terrane), http(s) URL, s3://, gs:// or az:// URI, ion:ASSET_ID, google or globe
+    /// Folder, tileset.json, layer.json, archive (.3tz, .zip, .terrane), http(s) URL, s3://, gs:// or az:// URI, ion:ASSET_ID,
+    /// google or globe
     #[arg(required_unless_present = "config")]
     pub source: Option<String>,
     /// Size of the window in pixels
@@ -289,7 +291,8 @@ pub enum MapOf {
 
 #[derive(Clone, Debug, ClapArgs)]
 pub struct InfoArgs {
-    /// Folder, tileset.json, layer.json, archive (.3tz, .zip, .terrane), http(s) URL, s3://, gs:// or az:// URI, ion:ASSET_ID, google
+    /// Folder, tileset.json, layer.json, archive (.3tz, .zip, .terrane), http(s) URL, s3://, gs:// or az:// URI, ion:ASSET_ID,
+    /// google
     pub source: String,
     /// Print one JSON document instead of text
     #[arg(long)]

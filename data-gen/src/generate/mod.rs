@@ -131,7 +131,8 @@ pub fn predict(args: &GenArgs) -> Result<Prediction, GenError> {
     Ok(predicted)
 }
 
-/// Returns the absolute path of OUT, or of the shard beside it, and whether there are files in it. Fails if they may not be replaced.
+/// Returns the absolute path of OUT, or of the shard beside it, and whether there are files in it. Fails if they may not be
+/// replaced.
 fn target(args: &GenArgs) -> Result<(PathBuf, bool), GenError> {
     let out = std::path::absolute(&args.out).map_err(GenError::file(&args.out))?;
     let out = args.sharding.shard.map_or(out.clone(), |shard| shard.folder(&out));
@@ -163,9 +164,9 @@ fn thread_pool(args: &GenArgs) -> Result<rayon::ThreadPool, GenError> {
     pool.map_err(|e| GenError::Argument(format!("--jobs {threads}: {e}")))
 }
 
-/// Generates a tile set, or a shard of one. Files are written to a temporary folder beside OUT, which is moved to OUT when all are
-/// complete; those of a bucket to one in the folder of temporary files, and are uploaded. If the run is killed, the same options
-/// continue it.
+/// Generates a tile set, or a shard of one. Files are written to a temporary folder beside OUT, which is moved to OUT when all
+/// are complete; those of a bucket to one in the folder of temporary files, and are uploaded. If the run is killed, the same
+/// options continue it.
 pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
     #[cfg(feature = "object-store")]
     if crate::store::is_remote(&args.out) {
@@ -314,7 +315,8 @@ fn make(
     })
 }
 
-/// Returns the set of a world with a tiling of its own; `None` for terrain for globes, whose tiles sample a world as other sources.
+/// Returns the set of a world with a tiling of its own; `None` for terrain for globes, whose tiles sample a world as other
+/// sources.
 fn tiled_world(args: &GenArgs) -> Option<WorldSet> {
     world_set(args, PROCEDURAL_LEVELS).filter(|_| args.content != ContentKind::QuantizedMesh)
 }

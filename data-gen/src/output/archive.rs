@@ -1,5 +1,6 @@
-//! Writes a folder as a 3D Tiles archive (3D Tiles Archive Format 1.3): a zip file whose last entry is the index of the others by the
-//! MD5 hashes of their names. Memory is about 90 bytes for each file; the crate `zip` keeps several hundred, and compresses on one thread.
+//! Writes a folder as a 3D Tiles archive (3D Tiles Archive Format 1.3): a zip file whose last entry is the index of the others
+//! by the MD5 hashes of their names. Memory is about 90 bytes for each file; the crate `zip` keeps several hundred, and
+//! compresses on one thread.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};

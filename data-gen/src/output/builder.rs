@@ -195,8 +195,8 @@ pub(crate) fn blocks(grid: &Grid<'_>, layer: Layer) -> Vec<TileKey> {
     tiles_with_data(layer.root, &|key| grid.voids != Voids::Cut || grid.may_have_data_in_tile(key))
 }
 
-/// Returns the number of vertices of the finest level in a tile. Those on its eastern and northern edges belong to its neighbours,
-/// except at the edges of the set.
+/// Returns the number of vertices of the finest level in a tile. Those on its eastern and northern edges belong to its
+/// neighbours, except at the edges of the set.
 fn vertices_of(grid: &Grid<'_>, key: TileKey) -> u64 {
     let side = grid.cells(0) as u64 >> key.level;
     let along = |c: u32| side + u64::from(c + 1 == 1 << key.level);

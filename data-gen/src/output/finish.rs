@@ -21,8 +21,8 @@ const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];
 /// The name of an unfinished archive in the folder of its set.
 const UNFINISHED: &str = ".archive.unfinished";
 
-/// Puts a complete set, or a shard of one, in place at OUT. Returns the size of the set, which is `bytes` unless it is compressed. Called
-/// on the threads of the current rayon pool.
+/// Puts a complete set, or a shard of one, in place at OUT. Returns the size of the set, which is `bytes` unless it is
+/// compressed. Called on the threads of the current rayon pool.
 pub(crate) fn finish(args: &GenArgs, partial: PartialFolder, out: &Path, bytes: u64) -> Result<u64, GenError> {
     // Shards are compressed when they are merged.
     let is_shard = args.sharding.shard.is_some();

@@ -1,8 +1,8 @@
-//! Describes a set by implicit tiling: subtree files with availability, and each tile's error and heights as metadata, so that volumes
-//! and errors are those of an explicit set.
+//! Describes a set by implicit tiling: subtree files with availability, and each tile's error and heights as metadata, so that
+//! volumes and errors are those of an explicit set.
 //!
-//! Blocks leave a list of their tiles in the journal. Subtrees begin at other levels than blocks, so each is put together from the lists
-//! of several blocks.
+//! Blocks leave a list of their tiles in the journal. Subtrees begin at other levels than blocks, so each is put together from
+//! the lists of several blocks.
 
 use std::num::NonZeroUsize;
 use std::path::Path;

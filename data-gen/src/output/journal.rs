@@ -1,6 +1,6 @@
-//! The journal of a run: one file for each block that is complete, with its record. It lies in the folder that the run writes, so that
-//! a run that was killed is continued from it. When the set is complete, the records of a set that `--update` can change are packed into
-//! one file, a zip archive, and the folder is removed.
+//! The journal of a run: one file for each block that is complete, with its record. It lies in the folder that the run writes,
+//! so that a run that was killed is continued from it. When the set is complete, the records of a set that `--update` can
+//! change are packed into one file, a zip archive, and the folder is removed.
 //!
 //! Worlds have a list of complete tiles instead, which is removed with the journal when the set is complete.
 
@@ -136,7 +136,8 @@ impl Journal {
         Ok(String::from_utf8_lossy(&bytes).split('\n').filter_map(parse_line).collect())
     }
 
-    /// Replaces the lists of complete tiles by one whose bytes do not depend on the order in which tiles were made, for a later update.
+    /// Replaces the lists of complete tiles by one whose bytes do not depend on the order in which tiles were made, for a later
+    /// update.
     pub fn sort_tiles(&self) -> Result<(), GenError> {
         let complete = self.tiles(None)?.complete;
         let mut tiles: Vec<(TileKey, CompleteTile)> = complete.into_iter().collect();

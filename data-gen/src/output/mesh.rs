@@ -94,8 +94,9 @@ impl<'a> MeshTile<'a> {
         (-1..=last).for_each(|j| block.add_heights(key, -1..=last, j, &mut heights_m));
         let cells = (CELLS as i64) << key.level;
         let has_data = move |i: i64, j: i64| {
-            // Cells beyond the edge belong to neighbours; beyond the edge of the block they repeat the nearest ones. So at borders of
-            // voids on such an edge, tiles of two blocks may keep different vertices, within the allowed distance and covered by skirts.
+            // Cells beyond the edge belong to neighbours; beyond the edge of the block they repeat the nearest ones. So at
+            // borders of voids on such an edge, tiles of two blocks may keep different vertices, within the allowed distance
+            // and covered by skirts.
             let [x, y] =
                 [(key.x, i), (key.y, j)].map(|(tile, c)| (i64::from(tile) * CELLS as i64 + c).clamp(0, cells - 1));
             let [(x, i), (y, j)] = [x, y].map(|c| ((c as usize / CELLS) as u32, c as usize % CELLS));
@@ -137,8 +138,8 @@ impl<'a> MeshTile<'a> {
         curvature_m(&self.ellipsoid, &self.set, cells, i64::from(self.key.y) * CELLS as i64 + row)
     }
 
-    /// Returns the largest vertical distance between the edges of the tile and those that tiles one or two levels coarser have there, in
-    /// metres, if their vertices are some of the tile's.
+    /// Returns the largest vertical distance between the edges of the tile and those that tiles one or two levels coarser have
+    /// there, in metres, if their vertices are some of the tile's.
     pub fn edge_step_m(&self) -> f64 {
         let last = CELLS as i64;
         let edge = |at: fn(i64, i64) -> [i64; 2]| -> Vec<f64> {
@@ -247,8 +248,8 @@ impl Lattice {
         [east, up.cross(east), up]
     }
 
-    /// Returns the normal of the surface at a sample of the tile, from the samples next to it. At a pole, where they coincide, it is
-    /// the direction upwards.
+    /// Returns the normal of the surface at a sample of the tile, from the samples next to it. At a pole, where they coincide,
+    /// it is the direction upwards.
     pub fn normal(&self, i: i64, j: i64) -> DVec3 {
         let east = self.at(i + 1, j) - self.at(i - 1, j);
         let north = self.at(i, j + 1) - self.at(i, j - 1);
@@ -290,8 +291,8 @@ fn edges_of([i, j]: [u16; 2]) -> u8 {
     u8::from(i == 0) | u8::from(i == last) << 1 | u8::from(j == 0) << 2 | u8::from(j == last) << 3
 }
 
-/// Builds the mesh of [`MeshTile::glb`]. Normals are those of the tile's samples, also where there are fewer vertices. With a normal
-/// map, the map has them, and the normals of vertices point upwards. The error says why the map cannot be encoded.
+/// Builds the mesh of [`MeshTile::glb`]. Normals are those of the tile's samples, also where there are fewer vertices. With a
+/// normal map, the map has them, and the normals of vertices point upwards. The error says why the map cannot be encoded.
 fn build(tile: &MeshTile<'_>, form: &MeshForm, tin: &Tin, skirt_m: f64, look: Look) -> Result<GlbMesh, String> {
     // A triangle whose edge lies on an edge of the tile has a skirt there. Its front faces outwards.
     let mut numbers = Numbers::new(tin);
@@ -354,9 +355,9 @@ const TEXELS: u32 = CELLS as u32 + 1;
 
 /// Returns the map of normals of a tile, without tangents. On failure returns the reason.
 ///
-/// The frame of the map is east, north and up, and the mesh has these directions as tangents and normals of its vertices. So it is
-/// the same for all triangles, however steep, and for all ways in which readers derive tangents. Texels lie on samples: neighbours
-/// have the same ones on a common edge.
+/// The frame of the map is east, north and up, and the mesh has these directions as tangents and normals of its vertices. So it
+/// is the same for all triangles, however steep, and for all ways in which readers derive tangents. Texels lie on samples:
+/// neighbours have the same ones on a common edge.
 ///
 /// PNG takes the fewest bytes: a map of the samples of Kilauea 4.3 kB, as WebP without loss 5.1 kB. JPEG would show its blocks.
 fn normal_map(lattice: &Lattice) -> Result<GlbNormalMap, String> {

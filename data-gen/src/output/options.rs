@@ -45,7 +45,8 @@ pub struct OutputArgs {
     /// Write which tiles exist into tiles of quantized-mesh, each tenth level, instead of into layer.json
     #[arg(long)]
     pub tile_availability: bool,
-    /// Body of worlds, and of elevation whose files do not name one: earth, moon, mars, or radii in metres as EQUATORxPOLE or XxYxZ
+    /// Body of worlds, and of elevation whose files do not name one: earth, moon, mars, or radii in metres as EQUATORxPOLE or
+    /// XxYxZ
     #[arg(long, value_name = "BODY")]
     pub body: Option<BodyArg>,
     /// Description of the tile tree

@@ -28,8 +28,8 @@ pub struct PartialFolder {
 }
 
 impl PartialFolder {
-    /// Creates the folder for a run with a fingerprint, or takes the one of a killed run with the same fingerprint. Removes folders
-    /// of other killed runs for the same OUT. Fails if another run writes to OUT.
+    /// Creates the folder for a run with a fingerprint, or takes the one of a killed run with the same fingerprint. Removes
+    /// folders of other killed runs for the same OUT. Fails if another run writes to OUT.
     pub fn beside(out: &Path, fingerprint: u64) -> Result<Self, GenError> {
         let partial = Self::create(out, fingerprint)?;
         interrupt::add(&partial.path, true);
@@ -154,8 +154,8 @@ fn empty(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Removes folders with an unlocked marker, except the one with the name `own`. Failures are ignored, because the new run does not
-/// depend on it. Fails if a run has locked one of the folders.
+/// Removes folders with an unlocked marker, except the one with the name `own`. Failures are ignored, because the new run does
+/// not depend on it. Fails if a run has locked one of the folders.
 fn remove_abandoned(parent: &Path, prefix: &str, own: &str) -> Result<(), ()> {
     for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
         let (is_folder, name) = (entry.file_type().is_ok_and(|kind| kind.is_dir()), entry.file_name());

@@ -7,8 +7,8 @@ use crate::GenError;
 /// The file of a complete set that the journal is packed into.
 pub(crate) const MANIFEST: &str = "manifest.zip";
 
-/// Calls with the files of each folder below one, in the order of their names, but not with the manifest and with those whose names
-/// begin with a dot.
+/// Calls with the files of each folder below one, in the order of their names, but not with the manifest and with those whose
+/// names begin with a dot.
 pub(crate) fn each_folder(
     folder: &Path,
     call: &mut dyn FnMut(&[PathBuf]) -> Result<(), GenError>,

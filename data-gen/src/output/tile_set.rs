@@ -33,7 +33,8 @@ pub(super) struct Written {
 }
 
 /// Writes the tiles of a block into a folder, on the threads of the current rayon pool, and returns what it wrote. Tiles
-/// whose files are there are not made again: a file has its name only when it is complete. Without a painter tiles have no colour.
+/// whose files are there are not made again: a file has its name only when it is complete. Without a painter tiles have no
+/// colour.
 pub(crate) fn write_tiles(
     args: &GenArgs,
     block: &Block<'_>,

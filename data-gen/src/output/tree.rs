@@ -1,5 +1,5 @@
-//! Describes tiles as 3D Tiles JSON. Each block has a tileset of its own: `tileset.json` of the root's, and the others are external
-//! tilesets, so that neither writers nor readers hold the whole tree.
+//! Describes tiles as 3D Tiles JSON. Each block has a tileset of its own: `tileset.json` of the root's, and the others are
+//! external tilesets, so that neither writers nor readers hold the whole tree.
 
 use std::collections::HashMap;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
@@ -244,8 +244,8 @@ pub(crate) fn sagitta_m(ellipsoid: &Ellipsoid, e: &Extent) -> f64 {
     ellipsoid.semi_major_m * cell * cell / 4.0
 }
 
-/// Returns the error in metres of a client that draws nothing of a set: the length of its longer side, at most two radii. CesiumJS draws
-/// the root of a set only where this error is seen.
+/// Returns the error in metres of a client that draws nothing of a set: the length of its longer side, at most two radii.
+/// CesiumJS draws the root of a set only where this error is seen.
 pub(crate) fn undrawn_error_m(ellipsoid: &Ellipsoid, e: &Extent) -> f64 {
     ellipsoid.semi_major_m * (e.east - e.west).max(e.north - e.south).min(2.0)
 }

@@ -5,8 +5,8 @@ use super::samples::Window;
 /// Vertices of coarser lattices lie so far apart that it is quicker to look for extrema at each than between them.
 const MAX_STRIP_DEPTH: u32 = 6;
 
-/// Divides a window of the lattice of a depth into windows of the finest lattice with all its vertices: bands of rows of the finest
-/// lattice, strips along rows or along a column of others, and single vertices that lie far apart.
+/// Divides a window of the lattice of a depth into windows of the finest lattice with all its vertices: bands of rows of the
+/// finest lattice, strips along rows or along a column of others, and single vertices that lie far apart.
 pub(super) fn parts(depth: u32, window: &Window) -> Vec<Window> {
     let Window { first, last } = *window;
     let rows = first[1]..=last[1];
@@ -47,7 +47,8 @@ impl Extrema {
         Self { window, found: Vec::new(), numbers: vec![0; window.width() * window.height()] }
     }
 
-    /// Adds an extremum by its column and row. Of several at a vertex the nearest one counts, and of those the first by its place.
+    /// Adds an extremum by its column and row. Of several at a vertex the nearest one counts, and of those the first by its
+    /// place.
     pub fn add(&mut self, [x, y]: [f64; 2], place: [f64; 2], height_m: f32) {
         let (at, Window { first, last }) = ([x, y].map(|c| c.round() as i64), self.window);
         if !(0..2).all(|k| (first[k]..=last[k]).contains(&at[k])) {

@@ -86,8 +86,8 @@ impl Span {
     }
 }
 
-/// Computes the heights of all vertices of a box as if none had data. `means` returns the averages of a box by its column and row,
-/// `coarse` the height at a vertex of a lattice that has fractions. `cells` is the number of cells along the set's side.
+/// Computes the heights of all vertices of a box as if none had data. `means` returns the averages of a box by its column and
+/// row, `coarse` the height at a vertex of a lattice that has fractions. `cells` is the number of cells along the set's side.
 pub(super) fn pull<'a>(
     at: [i64; 2],
     cells: i64,

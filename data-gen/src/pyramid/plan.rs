@@ -1,7 +1,7 @@
 //! The division of a quadtree into blocks: subtrees of a few levels, small enough for memory.
 //!
-//! The finest levels form the first layer of blocks, the next coarser ones the second, and so on up to the root. Blocks of a layer
-//! are made before those of the next, which are made of what they recorded.
+//! The finest levels form the first layer of blocks, the next coarser ones the second, and so on up to the root. Blocks of a
+//! layer are made before those of the next, which are made of what they recorded.
 
 use super::grid::ALIGNED;
 use super::tile::{CELLS, TileKey};
@@ -70,7 +70,8 @@ impl Plan {
         self.layers.last().map_or(0, |layer| layer.root)
     }
 
-    /// Returns the bytes that making a block takes at most, beside the blocks of the sources. `paints` is true if tiles have colours.
+    /// Returns the bytes that making a block takes at most, beside the blocks of the sources. `paints` is true if tiles have
+    /// colours.
     pub fn work_bytes(&self, paints: bool) -> u64 {
         let of_layer = |(k, layer): (usize, &Layer)| {
             let cells = (CELLS as u64) << (layer.levels() - 1);

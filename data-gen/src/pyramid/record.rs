@@ -20,8 +20,8 @@ pub(crate) struct Record {
     pub facts: TileFacts,
     /// The largest difference of the finest level and the source in the block, in metres.
     pub finest_error_m: f64,
-    /// By level, the largest distance between the block's finest samples and the triangles of the tile that contains the block, for
-    /// the levels above the root's.
+    /// By level, the largest distance between the block's finest samples and the triangles of the tile that contains the block,
+    /// for the levels above the root's.
     pub above_m: Vec<f64>,
     /// Heights of the vertices of the parent's lattice, NaN where there is no data.
     pub known: Samples,

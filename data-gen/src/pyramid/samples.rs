@@ -1,7 +1,7 @@
 //! Samples of a lattice inside a window.
 //!
-//! The lattice of depth `d` has every `2^d`-th vertex of the finest level along both axes. Its columns count from the western edge
-//! of the set and its rows from the southern one, so that a column and row name the same place in every window.
+//! The lattice of depth `d` has every `2^d`-th vertex of the finest level along both axes. Its columns count from the western
+//! edge of the set and its rows from the southern one, so that a column and row name the same place in every window.
 
 /// A rectangle of columns and rows of a lattice, the first and the last included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,5 +1,5 @@
-//! The heights that the colours of one level's tiles are made of: smoothed to the distance of texels, and to three coarser distances
-//! for ambient shading.
+//! The heights that the colours of one level's tiles are made of: smoothed to the distance of texels, and to three coarser
+//! distances for ambient shading.
 
 use std::borrow::Cow;
 

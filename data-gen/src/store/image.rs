@@ -119,8 +119,9 @@ const AHEAD: usize = 16;
 const MAX_AHEAD: usize = 256;
 
 impl PixelImage {
-    /// Reads the blocks of a rectangle of pixels, several at the same time, as far as they fit into half of the cache. For images on
-    /// servers, whose blocks would be asked for one after another. Blocks that cannot be read are left to who needs them.
+    /// Reads the blocks of a rectangle of pixels, several at the same time, as far as they fit into half of the cache. For
+    /// images on servers, whose blocks would be asked for one after another. Blocks that cannot be read are left to who needs
+    /// them.
     pub fn read_ahead(&self, columns: RangeInclusive<usize>, rows: RangeInclusive<usize>) {
         let ends = [(columns, 0), (rows, 1)].map(|(range, axis)| {
             let last = self.grid.size[axis].saturating_sub(1);

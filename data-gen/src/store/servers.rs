@@ -99,8 +99,8 @@ pub(crate) fn remote_versions(
     Ok(std::iter::once(own).chain(beside.into_iter().flatten()).collect())
 }
 
-/// Returns true if a server has no such file, or does not show it. Servers without a file answer with several states, and some with a
-/// page of theirs.
+/// Returns true if a server has no such file, or does not show it. Servers without a file answer with several states, and some
+/// with a page of theirs.
 pub(super) fn is_missing(error: &IoError) -> bool {
     match error {
         IoError::Status { status, .. } => (400..500).contains(status) && !error.is_transient(),

@@ -21,8 +21,8 @@ pub(crate) fn first_pixel(grid: BlockGrid, block: Rect) -> u64 {
     block.row as u64 * grid.size[0] as u64 + block.column as u64 * block.height as u64
 }
 
-/// Returns the grid of blocks for an image that is decoded as a whole. Blocks are squares; those of very wide images are lower, since
-/// a row of them is held in memory.
+/// Returns the grid of blocks for an image that is decoded as a whole. Blocks are squares; those of very wide images are lower,
+/// since a row of them is held in memory.
 fn spill_grid(size: [usize; 2]) -> BlockGrid {
     BlockGrid::new(size, [BLOCK, (PIXELS_AT_ONCE / size[0].max(1)).clamp(1, BLOCK)])
 }

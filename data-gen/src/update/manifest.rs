@@ -21,8 +21,8 @@ pub(crate) struct Manifest {
     options: String,
     /// The grid, and what is taken from all sources together.
     grid: String,
-    /// The largest pixel of the sources of elevation, east and north, in radians: how far beyond their rectangles heights depend on
-    /// them.
+    /// The largest pixel of the sources of elevation, east and north, in radians: how far beyond their rectangles heights
+    /// depend on them.
     #[serde(default)]
     pixel: [f64; 2],
     pub(super) sources: Vec<Source>,

@@ -1,10 +1,10 @@
 //! `--update`: takes from a finished set the blocks that a new run would make again with the same bytes, so that the run finds
 //! them complete, as those of a killed run.
 //!
-//! A block of the finest layer is kept if no changed source lies within its reach, and if the heights beyond the reach that it was
-//! made of are the same (`pyramid::dependencies`). If only vertices of coarser tiles are others, their errors are measured again. A block
-//! above is kept if all records that it was made of are. Where only imagery has changed, blocks are made with the files of the tiles
-//! that it does not touch. Other options or another grid keep nothing.
+//! A block of the finest layer is kept if no changed source lies within its reach, and if the heights beyond the reach that it
+//! was made of are the same (`pyramid::dependencies`). If only vertices of coarser tiles are others, their errors are measured
+//! again. A block above is kept if all records that it was made of are. Where only imagery has changed, blocks are made with
+//! the files of the tiles that it does not touch. Other options or another grid keep nothing.
 
 mod manifest;
 mod old_set;
@@ -177,8 +177,8 @@ impl Update<'_> {
         is_near_any(&self.painted, &e, [dx, dy])
     }
 
-    /// Puts the files of the tiles below a root that changed imagery does not touch into the folder, so that the run does not make them
-    /// again. Returns the number of tiles.
+    /// Puts the files of the tiles below a root that changed imagery does not touch into the folder, so that the run does not
+    /// make them again. Returns the number of tiles.
     fn take_unpainted(&self, root: TileKey, finest: u32) -> Result<usize, GenError> {
         let (mut keys, mut tiles) = (vec![root], 0);
         while let Some(key) = keys.pop() {
@@ -241,8 +241,8 @@ fn is_near_any(sources: &[[f64; 4]], near: &Extent, margin: [f64; 2]) -> bool {
     })
 }
 
-/// Returns how far beyond its rectangle a source of elevation changes heights, in radians: between pixels, and where its neighbours
-/// blend into what lies below, in a band with a width in metres on the earth.
+/// Returns how far beyond its rectangle a source of elevation changes heights, in radians: between pixels, and where its
+/// neighbours blend into what lies below, in a band with a width in metres on the earth.
 fn elevation_margin(blend_m: f64, pixel: [f64; 2], near: &Extent) -> [f64; 2] {
     let band = blend_m / MIN_RADIUS_M;
     let wide = near.south.abs().max(near.north.abs()).cos().max(0.01);

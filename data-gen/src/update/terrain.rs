@@ -1,8 +1,8 @@
 //! `--update` of terrain for globes: takes the tiles of a finished set that a new run would make with the same bytes.
 //!
-//! The tiling does not depend on the sources, so that a set can grow beyond its bounds. A tile whose vertices all lie on data depends on
-//! the sources around it; others also on the rectangle of all sources, and those with wide gaps on heights of the whole set. The
-//! header of a tile has the heights of the finer tiles inside, which are made before.
+//! The tiling does not depend on the sources, so that a set can grow beyond its bounds. A tile whose vertices all lie on data
+//! depends on the sources around it; others also on the rectangle of all sources, and those with wide gaps on heights of the
+//! whole set. The header of a tile has the heights of the finer tiles inside, which are made before.
 
 use std::collections::HashMap;
 use std::f64::consts::PI;
@@ -86,8 +86,9 @@ impl<'a> TerrainUpdate<'a> {
         Ok(update)
     }
 
-    /// Puts a tile of the set into the folder if the run would make it with the same bytes. `near` returns the rectangle of what its
-    /// heights depend on, or `None` if that lies outside of the sources' rectangle; `finer_m` are the heights of finer tiles.
+    /// Puts a tile of the set into the folder if the run would make it with the same bytes. `near` returns the rectangle of
+    /// what its heights depend on, or `None` if that lies outside of the sources' rectangle; `finer_m` are the heights of finer
+    /// tiles.
     pub fn keep(
         &self,
         key: TileKey,

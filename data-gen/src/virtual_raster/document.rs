@@ -1,4 +1,4 @@
-//! The XML of a virtual raster.
+//! The XML of a virtual raster (VRT): its size, georeference, bands and sources, parsed and checked.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -1,20 +1,19 @@
 //! The errors of the levels of a set, estimated from samples of the surface. A run measures each
-//! tile against the finest tiles below it instead, and takes the estimate of the finest level only; servers, which do not know all
-//! tiles, declare the estimates.
+//! tile against the finest tiles below it instead, and takes the estimate of the finest level only; servers, which do not know
+//! all tiles, declare the estimates.
 //!
-//! The difference between the triangles of a level and the surface itself is measured along rows of cells: in those rows of the most
-//! uneven tiles whose samples bend most, and then in the rows beside the worst one, as long as they are worse. A level's error is the largest
-//! difference with a factor for what was not measured, but at most the relief of the world, and the bulge of the earth above
-//! flat triangles. Levels without rivers have the depth of valleys besides. An error is at least the size of a small texel, so that
-//! images of flat ground are sharp near the eye, and a little larger than that of the next level, so that none is skipped. The tests compare with
-//! other samples.
+//! The difference between the triangles of a level and the surface itself is measured along rows of cells: in those rows of the
+//! most uneven tiles whose samples bend most, and then in the rows beside the worst one, as long as they are worse. A level's
+//! error is the largest difference with a factor for what was not measured, but at most the relief of the world, and the bulge
+//! of the earth above flat triangles. Levels without rivers have the depth of valleys besides. An error is at least the size of
+//! a small texel, so that images of flat ground are sharp near the eye, and a little larger than that of the next level, so
+//! that none is skipped. The tests compare with other samples.
 
 use rayon::prelude::*;
 use terrane::math::random::SplitMix64;
 
-use super::planet::RowBuffers;
 use super::points::meridians;
-use super::surface::TEXELS_PER_CELL;
+use super::surface::{RowBuffers, TEXELS_PER_CELL};
 use super::tiles::WorldSet;
 use crate::TileKey;
 use crate::pyramid::{CELLS, QUANTUM_M};

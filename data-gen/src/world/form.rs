@@ -1,7 +1,7 @@
 //! Meshes of a world's tiles, and what tilesets say of tiles.
 //!
-//! A mesh is made of the samples of its own tile alone. Its skirts, and how far its triangles may be from the grid, depend on the errors
-//! of levels.
+//! A mesh is made of the samples of its own tile alone. Its skirts, and how far its triangles may be from the grid, depend on
+//! the errors of levels.
 
 use super::scatter::TALLEST_M;
 use super::tile_form::{MeshMeasures, range_m};
@@ -58,8 +58,8 @@ impl WorldSet {
         Ok(MadeMesh { glb, measures: MeshMeasures { distance_m: tin.distance_m, skirt_m } })
     }
 
-    /// Returns the depth of the skirts that cover the steps to neighbours of a tile, in metres. Infinite, so that [`Self::max_skirt_m`]
-    /// decides, where coarser neighbours have no rivers.
+    /// Returns the depth of the skirts that cover the steps to neighbours of a tile, in metres. Infinite, so that
+    /// [`Self::max_skirt_m`] decides, where coarser neighbours have no rivers.
     fn own_skirt_m(&self, tile: &MeshTile<'_>) -> f64 {
         let step_m = |level: u32| self.lattice(TileKey { level, x: 0, y: 0 }, 0).step_m();
         let [own, above] =
@@ -80,8 +80,8 @@ impl WorldSet {
         }
     }
 
-    /// Returns the largest depth of the skirts of a level in metres. They cover the steps to finer neighbours and to those up to two levels
-    /// coarser.
+    /// Returns the largest depth of the skirts of a level in metres. They cover the steps to finer neighbours and to those up
+    /// to two levels coarser.
     fn max_skirt_m(&self, level: u32) -> f64 {
         let off_m = |level: u32| self.level_errors_m()[level as usize] + self.tin_limit_m(level);
         1.0 + off_m(level) + off_m(level.saturating_sub(2))
@@ -99,7 +99,8 @@ impl WorldSet {
         }
     }
 
-    /// Returns the description of a tile by bounds of its heights in metres, by the error of its grid, and by the measures of a mesh.
+    /// Returns the description of a tile by bounds of its heights in metres, by the error of its grid, and by the measures of a
+    /// mesh.
     pub(super) fn described(
         &self,
         key: TileKey,

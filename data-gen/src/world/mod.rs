@@ -14,7 +14,6 @@
 mod args;
 mod errors;
 mod form;
-mod planet;
 mod points;
 mod preset;
 mod relief;
@@ -27,8 +26,8 @@ mod tileset;
 mod write;
 
 pub use args::WorldArgs;
-pub use planet::World;
 pub use preset::WorldPreset;
 pub(crate) use source::WorldSource;
+pub use surface::World;
 pub use tiles::{TileStep, WorldSet, WorldTile};
 pub(crate) use write::{check_world, shard_roots, tiles_below, world_set, write_world};

@@ -4,8 +4,8 @@
 
 use std::f64::consts::{FRAC_2_PI, PI};
 
-/// The radius of the sphere that the noise of the earth is sampled on, in metres. Noise does not need an ellipsoid. Spheres of other
-/// bodies have the ratio of their equatorial radii.
+/// The radius of the sphere that the noise of the earth is sampled on, in metres. Noise does not need an ellipsoid. Spheres of
+/// other bodies have the ratio of their equatorial radii.
 pub(super) const RADIUS_M: f64 = 6_371_000.0;
 
 /// Adding and subtracting this number rounds a number below 2^31 to a whole one, whose low bits are those of the sum.

@@ -1,4 +1,5 @@
-//! A world as a source of elevation: its heights at any longitude and latitude, for tiles that do not lie on the lattice of a set.
+//! A world as a source of elevation: its heights at any longitude and latitude, for tiles that do not lie on the lattice of a
+//! set.
 
 use super::points::meridians;
 use super::tiles::WorldSet;

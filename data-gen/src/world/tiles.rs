@@ -5,10 +5,9 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 
 use terrane::formats::writers::{write_height_exr, write_packed_heights};
 
-use super::planet::{RowBuffers, World};
 use super::points::{meridians, sin_cos};
 use super::scatter::{MAX_CELL_M, Scatter, TALLEST_M};
-use super::surface::{Lattice, Patch, TEXELS_PER_CELL};
+use super::surface::{Lattice, Patch, RowBuffers, TEXELS_PER_CELL, World, rounded};
 use super::tile_form::{MeshMeasures, TileForm, range_m, roughness};
 use crate::output::{Look, compress};
 use crate::pyramid::{CELLS, QUANTUM_M};
@@ -30,8 +29,8 @@ pub struct WorldSet {
 /// A tile that was made.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WorldTile {
-    /// The extension of each file and its content: heights as `exr` or `heights` with an image beside, or a mesh as `glb`; and on levels
-    /// that have them trees and rocks, as `glb` beside heights and as `scatter.glb` beside meshes.
+    /// The extension of each file and its content: heights as `exr` or `heights` with an image beside, or a mesh as `glb`; and
+    /// on levels that have them trees and rocks, as `glb` beside heights and as `scatter.glb` beside meshes.
     pub files: Vec<(&'static str, Vec<u8>)>,
     /// The lowest and the highest height in metres, that of the border included.
     pub range_m: [f32; 2],
@@ -280,8 +279,8 @@ impl WorldSet {
     }
 
     /// Returns bounds of the heights in a tile, in metres. They are those of every fourth vertex, which are the vertices of
-    /// two levels above, with the error of that level: finer vertices are off by at most that. The first two levels have none above, and
-    /// take all vertices.
+    /// two levels above, with the error of that level: finer vertices are off by at most that. The first two levels have none
+    /// above, and take all vertices.
     pub(super) fn bounds_m(&self, key: TileKey) -> [f64; 2] {
         let lattice = self.lattice(key, 0);
         let up = if key.level < 2 { 0 } else { 2 };
@@ -302,11 +301,6 @@ impl WorldSet {
         let above_m = if self.has_scatter(key.level) { TALLEST_M } else { 1.0 };
         [f64::from(low_m) - error_m - 1.0, f64::from(high_m) + error_m + above_m]
     }
-}
-
-/// Rounds a height to the quantum of height tiles.
-pub(super) fn rounded(height_m: f32) -> f32 {
-    ((f64::from(height_m) / QUANTUM_M).round() * QUANTUM_M) as f32
 }
 
 /// Returns the heights of a tile with a border of one sample, southern row first.

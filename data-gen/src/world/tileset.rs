@@ -1,5 +1,5 @@
-//! Describes the tiles of a world: one tileset of 3D Tiles for each subtree of three levels, so that each can be written without the
-//! others, or one tileset with implicit tiling and its subtree files.
+//! Describes the tiles of a world: one tileset of 3D Tiles for each subtree of three levels, so that each can be written
+//! without the others, or one tileset with implicit tiling and its subtree files.
 
 use std::f64::consts::PI;
 
@@ -40,8 +40,9 @@ impl WorldSet {
         Descriptions { of, level_errors_m: self.level_errors_m() }
     }
 
-    /// Returns the tileset whose root is a tile. `None` if the tile is not the root of a tileset. It is computed alone: its errors are the
-    /// estimates of levels, and its volumes wider than in the tilesets that a run writes, which measures all tiles.
+    /// Returns the tileset whose root is a tile. `None` if the tile is not the root of a tileset. It is computed alone: its
+    /// errors are the estimates of levels, and its volumes wider than in the tilesets that a run writes, which measures all
+    /// tiles.
     pub fn tileset(&self, key: TileKey) -> Option<String> {
         self.tileset_by(key, &self.alone(&|key| self.expected(key)))
     }
@@ -106,8 +107,8 @@ impl WorldSet {
         tileset.to_string()
     }
 
-    /// Returns the region of a tile, wider by some metres on all sides: west, south, east and north in radians, lowest and highest height
-    /// in metres.
+    /// Returns the region of a tile, wider by some metres on all sides: west, south, east and north in radians, lowest and
+    /// highest height in metres.
     fn region(&self, key: TileKey, [low_m, high_m]: [f64; 2], margin_m: f64) -> [f64; 6] {
         let e = self.extent(key);
         let dy = margin_m / self.world().radius_m();
@@ -122,8 +123,8 @@ impl WorldSet {
         ]
     }
 
-    /// Returns the name and the bytes of the subtree file whose root is a tile. `None` if the tile is not the root of one. It is computed
-    /// alone, as [`Self::tileset`].
+    /// Returns the name and the bytes of the subtree file whose root is a tile. `None` if the tile is not the root of one. It
+    /// is computed alone, as [`Self::tileset`].
     pub fn subtree(&self, root: TileKey) -> Option<(String, Vec<u8>)> {
         self.subtree_by(root, &self.alone(&|key| self.expected(key)))
     }

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::errors::{RATIO, least_error_m};
 use super::form::Described;
-use super::planet::World;
+use super::surface::World;
 use super::tiles::{WorldSet, WorldTile};
 use super::tileset::{Descriptions, LEVELS_PER_TILESET};
 use crate::args::{ContentKind, GenArgs};
@@ -133,7 +133,8 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
-    /// Makes the tiles at and below the roots in `part`, all of one level, that lie in a tile. `above` are the tiles that contain it.
+    /// Makes the tiles at and below the roots in `part`, all of one level, that lie in a tile. `above` are the tiles that
+    /// contain it.
     fn make_part(&self, key: TileKey, above: &[(TileKey, &[f32])], part: &[TileKey]) -> Result<(), GenError> {
         let Some(level) = part.first().map(|root| root.level) else { return Ok(()) };
         if key.level == level {
@@ -150,8 +151,8 @@ impl Run<'_> {
         })
     }
 
-    /// Makes a tile and all tiles below it, unless an earlier run has. `above` are the tiles that contain it, the root first, with
-    /// their heights.
+    /// Makes a tile and all tiles below it, unless an earlier run has. `above` are the tiles that contain it, the root first,
+    /// with their heights.
     fn make(&self, key: TileKey, above: &[(TileKey, &[f32])]) -> Result<MadeTile, GenError> {
         if let Some(complete) = self.list.get(key) {
             self.progress.advance(tiles_below(self.set, key.level));
@@ -230,9 +231,9 @@ fn own_samples(key: TileKey, heights_m: &[f32]) -> Samples {
     Samples { window: Window { first, last: first.map(|c| c + CELLS as i64) }, values }
 }
 
-/// Writes all tiles and tilesets of a set into a folder, on the threads of the current rayon pool; of a shard only the tiles at and
-/// below its roots. A tile is not made again if a killed run or a shard had completed it and all tiles below it. The caller fills in the
-/// duration and the final folder of the summary.
+/// Writes all tiles and tilesets of a set into a folder, on the threads of the current rayon pool; of a shard only the tiles at
+/// and below its roots. A tile is not made again if a killed run or a shard had completed it and all tiles below it. The caller
+/// fills in the duration and the final folder of the summary.
 pub(crate) fn write_world(
     set: &WorldSet,
     tiling: Tiling,

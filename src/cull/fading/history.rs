@@ -1,4 +1,5 @@
-//! The state of cross-fades, kept from frame to frame: one mark of 8 bytes per tile that was met, and one per Lod.
+//! The state of cross-fades, kept from frame to frame: one mark of 8 bytes per tile that was met, and one per Lod. Culling
+//! thread.
 //!
 //! A mark counts only if its tile was met in the cull before, so that tiles that were out of view appear at once. Marks
 //! hold no content: the fade of a tile that expired in the meantime is over.

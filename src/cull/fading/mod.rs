@@ -1,4 +1,4 @@
-//! Cross-fades between levels of detail.
+//! Cross-fades between levels of detail: one is dissolved into the other. Culling thread.
 //!
 //! When a tile is replaced by its children, or replaces them, both are drawn for a short time. Each is drawn in its part
 //! of a dither pattern of the screen, so that every pixel shows exactly one of them. Each part is a [`FadeBand`]: a range of

@@ -1,4 +1,4 @@
-//! Collects the occluders that a view shows, wherever in the scene they hang.
+//! Collects the occluders that a view shows, wherever in the scene they hang. Culling thread.
 //!
 //! The scene lists its pages with occluders, so that scenes without any pay nothing. Whether an occluder is drawn is
 //! found from its node upwards, over masks, switches, levels of detail and tiles to the root, and only for those large

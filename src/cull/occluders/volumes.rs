@@ -1,4 +1,5 @@
-//! Shadow volumes of occluders.
+//! Shadow volumes of occluders: the planes behind which nothing is visible, and the tests of bounds against them. Culling
+//! thread.
 //!
 //! A volume is the pyramid from the eye through the polygon's edges (a prism under parallel rays), cut off at the
 //! polygon. It is computed in eye space in f64, moved into the frame where bounds are stored, and rounded there. The

@@ -1,4 +1,4 @@
-//! Fits the cascades to a view: how the depths are split, and the square of the shadow map around each part.
+//! Fits the cascades to a view: how the depths are split, and the square of the shadow map around each part. Culling thread.
 //!
 //! Computed in f64, relative to the eye. The square encloses the bounding sphere of its part, so that its size stays the
 //! same when the eye turns. It moves by whole texels only, so that the edges of shadows do not flicker when the eye moves.

@@ -1,4 +1,4 @@
-//! [`RenderStage`]: everything that one camera draws.
+//! [`RenderStage`]: everything that one camera draws. A culling thread fills it and hands it to the thread that draws.
 
 use std::ops::Range;
 use std::sync::Arc;

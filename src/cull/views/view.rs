@@ -1,4 +1,4 @@
-//! A view during cull: a camera, and the values derived from it that nodes and tiles are tested against.
+//! A view during cull: a camera, and the values derived from it that nodes and tiles are tested against. Culling thread.
 //!
 //! A stage has one view; Projection nodes and nested cameras add others for what is below them.
 

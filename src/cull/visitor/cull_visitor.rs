@@ -1,4 +1,5 @@
-//! [`CullVisitor`]: culls a scene for a camera, with its shadows, the cameras in the graph and both eyes in stereo.
+//! [`CullVisitor`]: culls a scene for a camera, with its shadows, the cameras in the graph and both eyes in stereo. Culling
+//! thread.
 
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! The traversal of the scene: from a camera to the leaves, requests and positioned state of a render stage.
+//! The traversal of the scene: from a camera to the leaves, requests and positioned state of a render stage. Culling thread.
 //!
 //! [`CullVisitor`] runs one [`Traversal`] per stage. A traversal takes pages from the queue and scans the nodes of each:
 //!

@@ -1,9 +1,9 @@
 //! Callbacks of cameras: OSG's initial, pre, post and final draw callbacks. Draw thread.
 
-use crate::state::{DataVariance, OpaqueDrawData};
 use std::sync::Arc;
 
 use super::info::RenderInfo;
+use crate::state::{DataVariance, OpaqueDrawData};
 
 type OnEncoder = Box<dyn Fn(&RenderInfo<'_>, &mut wgpu::CommandEncoder) + Send + Sync>;
 type OnPass = Box<dyn Fn(&RenderInfo<'_>, &mut wgpu::RenderPass<'_>) + Send + Sync>;

@@ -1,10 +1,10 @@
 //! The stereo composition: draws the images of two eyes as one, in a stereo mode. Draw thread.
 
-use crate::cull::{RenderStage, StereoMode};
 use std::sync::Arc;
 
 use super::fullscreen::{FullscreenPipeline, PipelinesByKind};
 use super::stage_input::LitStage;
+use crate::cull::{RenderStage, StereoMode};
 use crate::draw::pipelines::TargetFormats;
 use crate::draw::recorder::{DrawSources, PassRecorder};
 use crate::draw::resources::Resources;

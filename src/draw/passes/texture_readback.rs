@@ -70,19 +70,61 @@ impl<'a> Source<'a> {
     }
 }
 
-struct PictureSlot {
-    buffer: wgpu::Buffer,
+/// An image that was copied, and who gets it.
+struct Copied {
     sink: Arc<PictureSink>,
     size_px: [u32; 2],
     format: TextureFormat,
     frame: u32,
     clip_from_eye: DMat4,
+}
+
+impl Copied {
+    /// Returns the bytes of a row in the buffer, which copies pad.
+    fn padded_row_bytes(&self) -> u32 {
+        let row_bytes = self.size_px[0] * self.format.texel_bytes() as u32;
+        row_bytes.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT)
+    }
+
+    fn buffer_bytes(&self) -> u64 {
+        u64::from(self.padded_row_bytes()) * u64::from(self.size_px[1])
+    }
+
+    /// Hands the image over.
+    fn deliver(self, buffer: &[u8]) {
+        let padded = self.padded_row_bytes() as usize;
+        let Self { sink, size_px: [width, height], format, frame, clip_from_eye } = self;
+        let row_bytes = width as usize * format.texel_bytes();
+        let mut texels = Vec::with_capacity(row_bytes * height as usize);
+        for row in buffer.chunks_exact(padded) {
+            texels.extend_from_slice(&row[..row_bytes]);
+        }
+        sink.put(Picture { size_px: [width, height], frame, clip_from_eye, format, texels });
+    }
+}
+
+struct PictureSlot {
+    buffer: wgpu::Buffer,
+    /// The image that is on its way.
+    copied: Option<Copied>,
     /// True from the copy until its draw is submitted.
     is_recorded: bool,
     mapping: Mapping,
 }
 
 impl PictureSlot {
+    /// Creates a slot for images of a size in bytes; returns an error if there is no memory for the buffer.
+    fn new(memory: &Memory, size: u64) -> Result<Self, String> {
+        let descriptor = wgpu::BufferDescriptor {
+            label: Some("picture"),
+            size,
+            usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+            mapped_at_creation: false,
+        };
+        let buffer = memory.allocate("image to be read back", size, |device| device.create_buffer(&descriptor))?;
+        Ok(Self { buffer, copied: None, is_recorded: false, mapping: Mapping::default() })
+    }
+
     fn is_idle(&self) -> bool {
         !self.is_recorded && self.mapping.state() == MappingState::Idle
     }
@@ -167,40 +209,10 @@ impl TextureReadback {
         let (level, layer) = (*level, *layer);
         let CullCamera { frame, clip_from_eye, .. } = *camera;
         let size_px = [texture.width(), texture.height()].map(|side| (side >> level).max(1));
-        let row_bytes = (size_px[0] * format.texel_bytes() as u32).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
-        let size = u64::from(row_bytes) * u64::from(size_px[1]);
-        let fitting = self.slots.iter().position(|slot| slot.is_idle() && slot.buffer.size() == size);
-        let index = match fitting.or_else(|| self.slots.iter().position(PictureSlot::is_idle)) {
-            Some(index) => index,
-            None if self.slots.len() >= MAX_PICTURES => return Ok(()),
-            None => self.slots.len(),
-        };
-        if fitting.is_none() {
-            let descriptor = wgpu::BufferDescriptor {
-                label: Some("picture"),
-                size,
-                usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
-                mapped_at_creation: false,
-            };
-            let slot = PictureSlot {
-                buffer: memory.allocate("image to be read back", size, |device| device.create_buffer(&descriptor))?,
-                sink: sink.clone(),
-                size_px,
-                format,
-                frame,
-                clip_from_eye,
-                is_recorded: true,
-                mapping: Mapping::default(),
-            };
-            if index < self.slots.len() {
-                self.slots[index] = slot;
-            } else {
-                self.slots.push(slot);
-            }
-        }
-        let slot = &mut self.slots[index];
-        (slot.sink, slot.size_px, slot.format) = (sink.clone(), size_px, format);
-        (slot.frame, slot.clip_from_eye, slot.is_recorded) = (frame, clip_from_eye, true);
+        let copied = Copied { sink: sink.clone(), size_px, format, frame, clip_from_eye };
+        let row_bytes = copied.padded_row_bytes();
+        let Some(slot) = self.free_slot(memory, copied.buffer_bytes())? else { return Ok(()) };
+        (slot.copied, slot.is_recorded) = (Some(copied), true);
         encoder.copy_texture_to_buffer(
             wgpu::TexelCopyTextureInfo {
                 mip_level: level,
@@ -217,6 +229,23 @@ impl TextureReadback {
         Ok(())
     }
 
+    /// Returns a slot whose buffer has a size in bytes: a free one of that size, or another one with a new buffer. Returns `None`
+    /// while all are in flight.
+    fn free_slot(&mut self, memory: &Memory, size: u64) -> Result<Option<&mut PictureSlot>, String> {
+        let fitting = self.slots.iter().position(|slot| slot.is_idle() && slot.buffer.size() == size);
+        let index = match fitting.or_else(|| self.slots.iter().position(PictureSlot::is_idle)) {
+            Some(index) => index,
+            None if self.slots.len() >= MAX_PICTURES => return Ok(None),
+            None => self.slots.len(),
+        };
+        if index == self.slots.len() {
+            self.slots.push(PictureSlot::new(memory, size)?);
+        } else if fitting.is_none() {
+            self.slots[index] = PictureSlot::new(memory, size)?;
+        }
+        Ok(self.slots.get_mut(index))
+    }
+
     /// Maps the copies of a submitted draw for reading, and drops sinks that no longer ask.
     pub(in crate::draw) fn submitted(&mut self) {
         self.draw = self.draw.wrapping_add(1);
@@ -229,19 +258,11 @@ impl TextureReadback {
 
     /// Hands over the images that have arrived.
     pub(in crate::draw) fn deliver(&mut self) {
-        for slot in &self.slots {
+        for slot in &mut self.slots {
             match slot.mapping.state() {
                 MappingState::Ready => {
-                    if let Ok(view) = slot.buffer.get_mapped_range(..) {
-                        let [width, height] = slot.size_px;
-                        let row_bytes = width as usize * slot.format.texel_bytes();
-                        let mut texels = Vec::with_capacity(row_bytes * height as usize);
-                        let padded = row_bytes.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize);
-                        for row in view.chunks_exact(padded) {
-                            texels.extend_from_slice(&row[..row_bytes]);
-                        }
-                        let PictureSlot { size_px, format, frame, clip_from_eye, .. } = *slot;
-                        slot.sink.put(Picture { size_px, frame, clip_from_eye, format, texels });
+                    if let (Some(copied), Ok(view)) = (slot.copied.take(), slot.buffer.get_mapped_range(..)) {
+                        copied.deliver(&view);
                     }
                     slot.buffer.unmap();
                     slot.mapping.reset();

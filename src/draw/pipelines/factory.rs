@@ -9,7 +9,7 @@ use super::programs::{HEIGHT_ENTRY, Programs};
 use super::shader_choice::ShaderChoice;
 use super::target_table::TargetTable;
 use crate::gpu::{GraphicsContext, VertexFormat};
-use crate::scene::added_stride;
+use crate::scene::{AttributeLayout, added_stride};
 use crate::state::{BlendEquation, BlendFunc, COLOR_LOCATIONS, PolygonMode, ResolvedState, TEXTURE_UNITS};
 
 /// The attributes of each vertex format, and of the one colour that packed and quantized vertices share.
@@ -155,16 +155,7 @@ impl Factory {
                 return None;
             }
         };
-        let [full_attributes, packed_attributes, quantized_attributes] = [
-            [&FULL_ATTRIBUTES[..], &custom_attributes].concat(),
-            PACKED_ATTRIBUTES.into(),
-            QUANTIZED_ATTRIBUTES.into(),
-        ]
-        .map(|mut attributes: Vec<wgpu::VertexAttribute>| {
-            attributes.extend(further_uvs(key, layout, &attributes));
-            attributes
-        });
-        let full_stride = (VertexFormat::Full.stride() + added_stride(layout)) as u64;
+        let buffers = vertex_buffers(key, layout, &custom_attributes);
         let shader = match key.shading() {
             Shading::Program(index) => self.program_shader(ctx, programs, index, is_height)?,
             _ => self.own_shader(key)?,
@@ -192,19 +183,8 @@ impl Factory {
             state_layout: shader.state_layout,
             third_layout: if key.is_pulled() { Some(self.layouts.pulled.clone()) } else { shader.attribute_layout },
             constants: shader.constants,
-            buffers: match key.vertices() {
-                _ if is_height || key.is_splats() => Vec::new(),
-                None => Vec::new(),
-                Some(VertexFormat::Full) => vec![VertexBuffer { stride: full_stride, attributes: full_attributes }],
-                Some(VertexFormat::Packed) => packed_buffers(VertexFormat::Packed, packed_attributes),
-                Some(VertexFormat::Quantized) => packed_buffers(VertexFormat::Quantized, quantized_attributes),
-            },
-            topology: match key.kind() {
-                _ if key.is_square() || key.is_splats() => wgpu::PrimitiveTopology::TriangleList,
-                Kind::Height | Kind::Triangles => wgpu::PrimitiveTopology::TriangleList,
-                Kind::Lines => wgpu::PrimitiveTopology::LineList,
-                Kind::Points => wgpu::PrimitiveTopology::PointList,
-            },
+            buffers,
+            topology: topology(key),
             culled: match key.culled() {
                 1 => Some(wgpu::Face::Back),
                 2 => Some(wgpu::Face::Front),
@@ -316,10 +296,36 @@ impl Factory {
     }
 }
 
-/// Returns the vertex buffers of a format without colours: the vertices, and the one colour that all share.
-fn packed_buffers(format: VertexFormat, attributes: Vec<wgpu::VertexAttribute>) -> Vec<VertexBuffer> {
-    let color = VertexBuffer { stride: 0, attributes: SHARED_COLOR_ATTRIBUTE.to_vec() };
-    vec![VertexBuffer { stride: format.stride() as u64, attributes }, color]
+/// Returns the vertex buffers of a key, with the custom attributes that its program reads. Shaders read height tiles and splats
+/// from other buffers.
+fn vertex_buffers(key: PipelineKey, layout: &AttributeLayout, custom: &[wgpu::VertexAttribute]) -> Vec<VertexBuffer> {
+    let is_drawn_without = key.kind() == Kind::Height || key.is_splats();
+    let Some(format) = key.vertices().filter(|_| !is_drawn_without) else { return Vec::new() };
+    let mut attributes = match format {
+        VertexFormat::Full => [&FULL_ATTRIBUTES[..], custom].concat(),
+        VertexFormat::Packed => PACKED_ATTRIBUTES.to_vec(),
+        VertexFormat::Quantized => QUANTIZED_ATTRIBUTES.to_vec(),
+    };
+    attributes.extend(further_uvs(key, layout, &attributes));
+    match format {
+        VertexFormat::Full => {
+            vec![VertexBuffer { stride: (format.stride() + added_stride(layout)) as u64, attributes }]
+        }
+        // A format without colours: the vertices, and the one colour that all share.
+        VertexFormat::Packed | VertexFormat::Quantized => {
+            let color = VertexBuffer { stride: 0, attributes: SHARED_COLOR_ATTRIBUTE.to_vec() };
+            vec![VertexBuffer { stride: format.stride() as u64, attributes }, color]
+        }
+    }
+}
+
+fn topology(key: PipelineKey) -> wgpu::PrimitiveTopology {
+    match key.kind() {
+        _ if key.is_square() || key.is_splats() => wgpu::PrimitiveTopology::TriangleList,
+        Kind::Height | Kind::Triangles => wgpu::PrimitiveTopology::TriangleList,
+        Kind::Lines => wgpu::PrimitiveTopology::LineList,
+        Kind::Points => wgpu::PrimitiveTopology::PointList,
+    }
 }
 
 fn blend_state(func: BlendFunc, equation: BlendEquation) -> wgpu::BlendState {

@@ -4,8 +4,8 @@
 //! draw thread       order -> draws without it ...                 -> result of the order, in a later frame
 //! pipeline thread            module, layout, pipeline, its errors
 //! ```
-//! Between [`PipelineThread::begin`] and [`PipelineThread::end`] the draw thread orders pipelines; otherwise it creates them itself. The thread starts with the
-//! first order and ends with the renderer. It calls the device alone, never the queue.
+//! Between [`PipelineThread::begin`] and [`PipelineThread::end`] the draw thread orders pipelines; otherwise it creates them
+//! itself. The thread starts with the first order and ends with the renderer. It calls the device alone, never the queue.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, OnceLock};

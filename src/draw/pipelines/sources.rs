@@ -1,5 +1,5 @@
-//! The sources of the shaders, concatenated from the files in `shaders/`. Sources named `SHADOWED_` receive the sun's
-//! shadows, or cast them.
+//! The sources of the shaders, concatenated from the files in `shaders/`. Sources named `SHADOWED_` receive the sun's shadows,
+//! or cast them. Draw thread and pipeline thread.
 
 /// Concatenates files of `shaders/` in their order.
 macro_rules! wgsl {

@@ -14,7 +14,7 @@ use crate::draw::targets::pass_target::PassTarget;
 use crate::draw::uniforms::frame_groups::FrameResources;
 use crate::draw::uniforms::stage::{position_of, replaces_sun};
 use crate::gpu::GraphicsContext;
-use crate::state::{Mode, NumberError};
+use crate::state::Mode;
 
 impl Renderer {
     /// Prepares all passes of a frame's views.
@@ -154,19 +154,7 @@ impl Renderer {
         let base_index = resources.bound_states.push(base);
         let positioned_of_state = self.views.positioned_of_state();
         let lit = LitStage { input, around, views, positioned_of_state, base, base_index };
-        for (node, error) in numbers_out_of_range(stage) {
-            resources.errors.report_once(format!("{node}: {error}"));
-        }
-        for error in stage.lights.iter().filter_map(|l| position_of(&l.light).err()) {
-            resources.errors.report_once(format!("a LightSource: {error}"));
-        }
-        let of_states = stage.state_sets.iter().flat_map(|state| state.lights());
-        for error in of_states.filter_map(|light| position_of(light).err()) {
-            resources.errors.report_once(format!("a light of a state set: {error}"));
-        }
-        for error in stage.local_lights.iter().filter_map(|l| position_of(&l.light).err()) {
-            resources.errors.report_once(format!("a LocalLights: {error}"));
-        }
+        invalid_parts(stage).for_each(|problem| resources.errors.report_once(problem));
         let has_own_light = replaces_sun(stage);
         let kind = self.drawn_into.add(&lit, has_own_light, !shadows.is_empty());
 
@@ -232,13 +220,21 @@ impl Renderer {
     }
 }
 
-/// Returns the lights, clip planes and texture units of a stage's nodes whose numbers are out of range.
-fn numbers_out_of_range(stage: &RenderStage) -> impl Iterator<Item = (&'static str, NumberError)> {
+/// Returns what is wrong with the lights, clip planes and texture units of a stage: numbers out of range, and lights that do
+/// not shine.
+fn invalid_parts(stage: &RenderStage) -> impl Iterator<Item = String> {
     let lights = stage.lights.iter().map(|l| ("a LightSource", Mode::Light(l.light.number)));
     let planes = stage.clip_planes.iter().map(|p| ("a ClipNode", Mode::ClipPlane(p.number)));
     let texgens = stage.texgens.iter().map(|t| ("a TexGenNode", Mode::TexGen(t.unit)));
-    let all = lights.chain(planes).chain(texgens);
-    all.filter_map(|(node, mode)| mode.check().err().map(|error| (node, error)))
+    let numbers = lights.chain(planes).chain(texgens);
+    let numbers = numbers.filter_map(|(node, mode)| mode.check().err().map(|error| format!("{node}: {error}")));
+    let lights = stage.lights.iter().map(|l| ("a LightSource", &l.light));
+    let of_states = stage.state_sets.iter().flat_map(|state| state.lights());
+    let of_states = of_states.map(|light| ("a light of a state set", light));
+    let local = stage.local_lights.iter().map(|l| ("a LocalLights", &l.light));
+    let all = lights.chain(of_states).chain(local);
+    let positions = all.filter_map(|(node, light)| position_of(light).err().map(|error| format!("{node}: {error}")));
+    numbers.chain(positions)
 }
 
 /// Returns the sum of a count over a stage and the stages before and after it.

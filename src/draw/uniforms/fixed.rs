@@ -1,5 +1,5 @@
-//! The fixed function as uniforms: material, fog, alpha test and texture units. Mirrors the structs `Fixed` and `Reflection`
-//! of shaders/fixed.wgsl; a test compares them with naga's layout. Lights and clip planes are in [`super::stage`].
+//! The fixed function as uniforms: material, fog, alpha test and texture units. Mirrors the structs `Fixed` and `Reflection` of
+//! shaders/fixed.wgsl; a test compares them with naga's layout. Lights and clip planes are in [`super::stage`]. Draw thread.
 
 use std::sync::Arc;
 

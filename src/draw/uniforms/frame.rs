@@ -1,5 +1,5 @@
 //! The uniforms of a frame and the leaves: mirrors of the structs `Frame` and `Leaf` of shaders/frame.wgsl. A test compares
-//! them with naga's layout.
+//! them with naga's layout. Draw thread.
 
 use glam::{DMat2, DMat4, Mat4, Vec3};
 

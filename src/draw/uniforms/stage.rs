@@ -1,5 +1,5 @@
-//! The lights and clip planes of a stage as uniforms: mirrors of the structs `Stage` and `StageLight` of
-//! shaders/frame.wgsl. A test compares them with naga's layout.
+//! The lights and clip planes of a stage as uniforms: mirrors of the structs `Stage` and `StageLight` of shaders/frame.wgsl. A
+//! test compares them with naga's layout. Draw thread.
 
 use glam::{DAffine3, DVec3, DVec4};
 

@@ -3,8 +3,8 @@
 //!
 //! A URI continues inside the archive: `set.3tz/tileset.json`, `imagery.pmtiles/3/1/2.png`. A reader loads the directory
 //! of an archive once, or the much smaller index of a 3D Tiles archive, and then each member by one read of a span.
-//! `zip`, `packed` and `pmtiles` parse bytes and do no I/O. `local` reads files on the file threads, `remote` sends range requests
-//! on the HTTP thread.
+//! `zip`, `packed` and `pmtiles` parse bytes and do no I/O. `local` reads files on the file threads, `remote` sends range
+//! requests on the HTTP thread.
 
 mod local;
 mod lru;

@@ -1,4 +1,5 @@
-//! [`Eviction`]: keeps the cache below its size limit. The least recently used files are removed first.
+//! [`Eviction`]: keeps the cache below its size limit. The least recently used files are removed first. Any thread; one at a
+//! time scans the folder.
 //!
 //! Each process adds up the bytes that it writes. It opens the index of the folder once they exceed a sixteenth of the limit,
 //! so that the writes of other processes count too. Only one process removes files at a time; the others continue meanwhile.

@@ -1,4 +1,4 @@
-//! Files of the cache: names by hash, and atomic writes.
+//! Files of the cache: names by hash, and atomic writes. Any thread; several processes may share the folder.
 
 use std::collections::hash_map::RandomState;
 use std::fs;

@@ -1,5 +1,6 @@
 //! Whether and for how long an answer may be cached (RFC 9111). Several users and processes may share the folder, so answers
-//! that are `private` are not stored. `s-maxage` is ignored: the folder does not stand between the user and the server.
+//! that are `private` are not stored. `s-maxage` is ignored: the folder does not stand between the user and the server. Plain
+//! values.
 
 use std::time::{Duration, SystemTime};
 

@@ -1,4 +1,4 @@
-//! Inspection, verification and clearing of a cache, for `terrane cache`.
+//! Inspection, verification and clearing of a cache, for `terrane cache`. Runs on the caller's thread.
 
 use std::collections::HashSet;
 use std::fs;

@@ -1,4 +1,4 @@
-//! [`DiskCache`]: look-up, storage and removal of entries.
+//! [`DiskCache`]: look-up, storage and removal of entries. Any thread; calls block.
 
 use std::fs;
 use std::io;
@@ -39,7 +39,8 @@ pub struct CacheConfig {
     /// The folder: an existing cache, an empty folder, or a path at which one is created.
     pub folder: PathBuf,
     /// The size limit in bytes of all entries and bodies together, without the index, which takes a few percent more. Each
-    /// additional process that writes at the same time may exceed it by a sixteenth. The folder remembers the limit; `None` uses the remembered one, or 2 GiB.
+    /// additional process that writes at the same time may exceed it by a sixteenth. The folder remembers the limit; `None`
+    /// uses the remembered one, or 2 GiB.
     pub max_bytes: Option<u64>,
     /// Never asks a server. Cached answers are used however old they are, and a cache miss is an error.
     pub offline: bool,

@@ -1,4 +1,5 @@
-//! [`HttpClient`]: the content of URLs, of objects in stores, and of members of remote archives.
+//! [`HttpClient`]: the content of URLs, of objects in stores, and of members of remote archives. Runs on the runtime of the
+//! pager's HTTP thread, or of a blocking caller.
 
 use std::sync::Arc;
 use std::time::Duration;

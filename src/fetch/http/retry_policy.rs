@@ -1,6 +1,6 @@
-//! Delays between the retries of one HTTP request: exponential back-off with seeded jitter, `Retry-After`, and pauses that
-//! a server imposed on all requests to it. The pager requests failed tiles again by its own policy
-//! (`pager/requests/retry_policy.rs`).
+//! Delays between the retries of one HTTP request: exponential back-off with seeded jitter, `Retry-After`, and pauses that a
+//! server imposed on all requests to it. The pager requests failed tiles again by its own policy
+//! (`pager/requests/retry_policy.rs`). Plain values.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};

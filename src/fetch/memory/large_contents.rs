@@ -3,12 +3,12 @@
 //! A file of some kilobytes may unfold to gigabytes, and several decode threads may have such files at once. So decoders call
 //! [`about_to_allocate`] before they allocate, or read through [`gated`]. The bytes come from those that the content's load has
 //! reserved, then from those that are free in the budget (a content that is alone finds any number free), then from an allowance
-//! of [`MAX_BEYOND`] bytes. A content that needs more waits for its turn. It keeps the turn until update has used or dropped its page, so
-//! that large pages do not pile up either.
+//! of [`MAX_BEYOND`] bytes. A content that needs more waits for its turn. It keeps the turn until update has used or dropped
+//! its page, so that large pages do not pile up either.
 //!
-//! There is no deadlock: the content that has its turn waits for nothing more, so that its decoder always finishes, and update uses
-//! and drops pages without waiting for a load. The count is thread-local, since one thread decodes a content from its bytes to its
-//! page. On other threads nothing is counted.
+//! There is no deadlock: the content that has its turn waits for nothing more, so that its decoder always finishes, and update
+//! uses and drops pages without waiting for a load. The count is thread-local, since one thread decodes a content from its
+//! bytes to its page. On other threads nothing is counted.
 
 use std::cell::RefCell;
 use std::io::{self, Read};
@@ -66,7 +66,8 @@ thread_local! {
 }
 
 impl LargeContents {
-    /// Runs a decoder on this thread and counts what it allocates, from the bytes of `permit` on. The memory belongs to the content.
+    /// Runs a decoder on this thread and counts what it allocates, from the bytes of `permit` on. The memory belongs to the
+    /// content.
     pub fn decode<T>(&self, permit: Permit, decode: impl FnOnce() -> T) -> (T, ContentMemory) {
         /// Ends the count, also if the decoder panics.
         struct End;

@@ -1,5 +1,5 @@
 //! Limits of the memory that loads take together: of what they hold ([`ByteBudget`]), and of what decoders allocate meanwhile
-//! ([`LargeContents`]).
+//! ([`LargeContents`]). All loading threads.
 
 #[cfg_attr(not(feature = "http"), allow(dead_code, reason = "only answers of servers claim bytes"))]
 mod byte_budget;

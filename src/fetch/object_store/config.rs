@@ -1,4 +1,4 @@
-//! Configuration of object stores: options, environment, and the location of buckets.
+//! Configuration of object stores: options, environment, and the location of buckets. Plain values.
 //!
 //! Without keys, the crate `object_store` asks the metadata service of the cloud (169.254.169.254), which does not answer
 //! outside of that cloud. So the service is asked only if the configuration names it. Otherwise requests are not signed, as

@@ -1,5 +1,5 @@
-//! [`ObjectFolder`]: writes, reads, lists and removes the objects below a prefix of a bucket. Called by programs that make sets, on any of
-//! their threads, which block; never by the pager.
+//! [`ObjectFolder`]: writes, reads, lists and removes the objects below a prefix of a bucket. Called by programs that make
+//! sets, on any of their threads, which block; never by the pager.
 
 use std::io::{Read as _, Write as _};
 use std::path::Path as FilePath;
@@ -36,8 +36,8 @@ const MAX_RETRIES: usize = 8;
 /// No retry begins after this time. Keys and tokens may expire later.
 const RETRY_TIMEOUT: Duration = Duration::from_secs(180);
 
-/// Writes, reads, lists and removes the objects below a prefix of a bucket. Several threads may call it at the same time; each blocks until
-/// its request is done. Requests that fail for a reason that may pass are sent again.
+/// Writes, reads, lists and removes the objects below a prefix of a bucket. Several threads may call it at the same time; each
+/// blocks until its request is done. Requests that fail for a reason that may pass are sent again.
 #[derive(Debug)]
 pub struct ObjectFolder {
     /// Threads that wait for an answer take turns in driving it. `None` while it is dropped.
@@ -69,7 +69,8 @@ pub struct ObjectList {
 }
 
 impl ObjectFolder {
-    /// Opens a folder, such as `s3://bucket/prefix`; sends no request. [`HttpConfig::store_options`] and the environment have the keys.
+    /// Opens a folder, such as `s3://bucket/prefix`; sends no request. [`HttpConfig::store_options`] and the environment have
+    /// the keys.
     ///
     /// # Errors
     /// Fails if the URI is not one of a bucket, or if the configuration is invalid.

@@ -1,5 +1,5 @@
-//! Objects of S3, Google Cloud Storage and Azure Blob Storage, fetched through the HTTP client. HTTP thread. Programs that make sets
-//! write them too.
+//! Objects of S3, Google Cloud Storage and Azure Blob Storage, fetched through the HTTP client. HTTP thread. Programs that make
+//! sets write them too.
 
 mod config;
 mod folder;

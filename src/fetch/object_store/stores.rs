@@ -1,4 +1,5 @@
-//! [`Stores`]: requests for objects, signed by the crate `object_store` and sent by the HTTP client.
+//! [`Stores`]: requests for objects, signed by the crate `object_store` and sent by the HTTP client. Runs on the runtime of the
+//! HTTP client.
 //!
 //! The crate knows addresses, keys, signatures and tokens. It passes each signed request to [`SignedTransport`], which sends it
 //! like any other request and hands the answer to the caller of [`Stores::get`]. So limits, timeouts, retries, ranges and the

@@ -1,4 +1,4 @@
-//! Cesium ion: an endpoint per asset, which answers with the asset's address and a token for it that expires.
+//! Cesium ion: an endpoint per asset, which answers with the asset's address and a token for it that expires. Calls block.
 //!
 //! Source: the ion REST API, "Assets, endpoint". An asset that another service hosts (`externalType`) has its address in
 //! `options`.

@@ -1,5 +1,5 @@
 //! Services that ask for a key: Cesium ion and Google's Photorealistic 3D Tiles. They say where a tile set is, which
-//! credentials its requests carry, and whom to name beside it.
+//! credentials its requests carry, and whom to name beside it. Calls block; they are made before a set is opened.
 
 mod google;
 mod ion;

@@ -1,5 +1,5 @@
-//! [`crop`]: the part of a set over a region, with the bytes of its contents. Tiles elsewhere are taken out of the tilesets; all other
-//! files stay as they are, under their names. Threads share the list of files.
+//! [`crop`]: the part of a set over a region, with the bytes of its contents. Tiles elsewhere are taken out of the tilesets;
+//! all other files stay as they are, under their names. Threads share the list of files.
 
 use std::collections::HashMap;
 use std::path::{Component, Path};
@@ -19,9 +19,10 @@ use crate::formats::tileset::{body_of, is_tileset, may_be_tileset, volume_and_fr
 use crate::formats::whole_set::{read_companions, too_many};
 use crate::math::{Ellipsoid, WGS84};
 
-/// Writes the part of a set over the region, or the rectangle, of the options to an empty folder. Contents are copied byte for byte;
-/// those that gzip has compressed are decompressed. Sets with implicit tiling, those of other formats than 3D Tiles, and those whose files
-/// lie in several places are converted instead, as are all with [`ConvertOptions::meshopt`]. Blocking; `progress` is called on this thread.
+/// Writes the part of a set over the region, or the rectangle, of the options to an empty folder. Contents are copied byte for
+/// byte; those that gzip has compressed are decompressed. Sets with implicit tiling, those of other formats than 3D Tiles, and
+/// those whose files lie in several places are converted instead, as are all with [`ConvertOptions::meshopt`]. Blocking;
+/// `progress` is called on this thread.
 ///
 /// # Errors
 /// As [`convert`].

@@ -1,4 +1,4 @@
-//! [`ConvertOptions`], [`Converted`] and [`ConvertError`]: how a set is converted and what came of it.
+//! [`ConvertOptions`], [`Converted`] and [`ConvertError`]: how a set is converted and what came of it. Plain values.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -16,8 +16,8 @@ use crate::scene::{Texture, Topology};
 pub struct ConvertOptions {
     /// Compresses vertices and indices with EXT_meshopt_compression.
     pub meshopt: bool,
-    /// Only tiles over this region of the earth, or of the body of the set, whatever their height. A tile is kept or left out as a whole. `None` means
-    /// all tiles.
+    /// Only tiles over this region of the earth, or of the body of the set, whatever their height. A tile is kept or left out
+    /// as a whole. `None` means all tiles.
     pub region: Option<Region>,
     /// Only tiles over this rectangle of a set that is not on the earth: the smallest x and y in its frame, then the largest,
     /// metres. `None` means all tiles.
@@ -141,7 +141,8 @@ impl Counts {
 pub struct Converted {
     /// The sums over what was read.
     pub source: Counts,
-    /// The sums over what was written, as a reader of the written files finds it. Without [`ConvertOptions::check`] only its levels.
+    /// The sums over what was written, as a reader of the written files finds it. Without [`ConvertOptions::check`] only its
+    /// levels.
     pub written: Counts,
     /// The number of files written.
     pub files: u64,

@@ -227,33 +227,41 @@ impl Shared<'_> {
         children.retain(|(Item { bounds, set_from_item, .. }, of, _)| {
             bounds.is_none_or(|bounds| is_wanted(self.options, &bounds, set_from_item, &of.ellipsoid))
         });
-        {
-            let mut state = self.lock();
-            state.left_out.merge(&notes.into_ignored());
-            if let Some(written) = &written {
-                let State { report, .. } = &mut *state;
-                report.files += 1;
-                report.bytes += written.bytes;
-                report.source.merge(&written.source);
-                report.written.merge(&written.written);
-                report.source.add_content(level);
-            }
-            if !children.is_empty() {
-                state.last_pending += 1;
-                let tile = state.last_pending;
-                let mut slots = vec![beside];
-                slots.resize_with(children.len() + 1, Vec::new);
-                let pending = Pending { parent, draft, children: slots, missing: children.len() };
-                state.pending.insert(tile, pending);
-                for (number, (item, options, level)) in (1..).zip(children).collect::<Vec<_>>().into_iter().rev() {
-                    state.jobs.push(Job { item, options, parent: Some(Slot { tile, number }), level });
-                }
-                self.changed.notify_all();
-                return Ok(());
-            }
+        self.count(level, notes, written.as_ref());
+        if children.is_empty() {
+            let own = draft.and_then(|draft| draft.finish(Vec::new(), &self.errors));
+            return self.deliver(parent, beside.into_iter().chain(own).collect());
         }
-        let own = draft.and_then(|draft| draft.finish(Vec::new(), &self.errors));
-        self.deliver(parent, beside.into_iter().chain(own).collect())
+        let mut slots = vec![beside];
+        slots.resize_with(children.len() + 1, Vec::new);
+        self.wait_for(Pending { parent, draft, children: slots, missing: children.len() }, children);
+        Ok(())
+    }
+
+    /// Adds a content of a level to the report.
+    fn count(&self, level: usize, notes: Notes, written: Option<&Written>) {
+        let mut state = self.lock();
+        state.left_out.merge(&notes.into_ignored());
+        if let Some(written) = written {
+            let report = &mut state.report;
+            report.files += 1;
+            report.bytes += written.bytes;
+            report.source.merge(&written.source);
+            report.written.merge(&written.written);
+            report.source.add_content(level);
+        }
+    }
+
+    /// Keeps a tile until its children are converted, and adds jobs for these. Their slots follow that of the tiles beside them.
+    fn wait_for(&self, pending: Pending, children: Vec<(Item, Arc<ReadOptions>, usize)>) {
+        let mut state = self.lock();
+        state.last_pending += 1;
+        let tile = state.last_pending;
+        state.pending.insert(tile, pending);
+        for (number, (item, options, level)) in (1..).zip(children).collect::<Vec<_>>().into_iter().rev() {
+            state.jobs.push(Job { item, options, parent: Some(Slot { tile, number }), level });
+        }
+        self.changed.notify_all();
     }
 
     /// Puts tiles into their slot, and completes the tiles above that wait for nothing else.
@@ -381,8 +389,8 @@ pub(super) fn reason_for_nothing(options: &ConvertOptions) -> &'static str {
     }
 }
 
-/// Returns true if a volume overlaps the region and the rectangle of the options, as far as there are some. `set_from_item` is the frame
-/// of the volume, `ellipsoid` that of the set.
+/// Returns true if a volume overlaps the region and the rectangle of the options, as far as there are some. `set_from_item` is
+/// the frame of the volume, `ellipsoid` that of the set.
 pub(super) fn is_wanted(
     options: &ConvertOptions,
     volume: &BoundingVolume,

@@ -1,4 +1,4 @@
-//! Decodes a height tile: heights, placement and imagery to a [`HeightTile`].
+//! Decodes a height tile: heights, placement and imagery to a [`HeightTile`]. Decode threads.
 
 use std::sync::Arc;
 
@@ -14,8 +14,8 @@ use crate::formats::options::{Fetched, ReadOptions};
 use crate::math::{Aabb, Ellipsoid};
 use crate::scene::{BlockFormats, Drawable, Geometry, HeightTile, Material, Node, Sampling, SharedParts, Texture};
 
-/// Decodes an EXR with one channel of heights, or packed heights, and the imagery. Fails if the imagery is missing or invalid: the parent tile
-/// then stays visible with its colours, instead of a white tile.
+/// Decodes an EXR with one channel of heights, or packed heights, and the imagery. Fails if the imagery is missing or invalid:
+/// the parent tile then stays visible with its colours, instead of a white tile.
 pub(in crate::formats) fn read(
     uri: &str,
     bytes: &[u8],

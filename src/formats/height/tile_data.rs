@@ -1,4 +1,4 @@
-//! The properties of height tiles in a tileset, and their transport to the decoder of the content.
+//! The properties of height tiles in a tileset, and their transport to the decoder of the content. Decode threads.
 //!
 //! `asset.extras.terrane` of the tileset has the properties that all tiles share. Each tile has a region (or
 //! `extras.terrane.plane`: smallest x and y, largest x and y in metres, for sets that are not on the earth) and

@@ -202,8 +202,8 @@ impl ImplicitTiling {
         Some(ReaderData::of(data))
     }
 
-    /// Returns the reader data of a height tile: its part of the root, whatever its metadata says, so that neighbours meet. `None`
-    /// if the contents are no height tiles.
+    /// Returns the reader data of a height tile: its part of the root, whatever its metadata says, so that neighbours meet.
+    /// `None` if the contents are no height tiles.
     pub(super) fn height_data(&self, tile: TileCoordinates, transform: &DAffine3) -> Option<Result<Arc<str>, IoError>> {
         let heights = self.heights.as_ref()?;
         let bounds = self.bounds(tile, &VolumeOverrides::default(), transform);

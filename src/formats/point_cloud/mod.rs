@@ -1,4 +1,4 @@
-//! Point clouds.
+//! Point clouds of 3D Tiles 1.0 (`pnts`) as meshes of points. Decode threads.
 
 mod draco;
 mod pnts;

@@ -1,5 +1,5 @@
 //! Point Cloud (3D Tiles 1.0, `pnts`): a header, and a feature table of positions, colours, normals and batch ids, plain or
-//! compressed with Draco, and a batch table. Positions are z-up in the tile's frame.
+//! compressed with Draco, and a batch table. Positions are z-up in the tile's frame. Decode threads.
 
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! The property tables of EXT_structural_metadata and of subtrees.
+//! The property tables of EXT_structural_metadata and of subtrees. Decode threads.
 
 use std::cell::Cell;
 

@@ -1,4 +1,4 @@
-//! Colours of CSS by keyword or in hexadecimal digits, and from hue, saturation and lightness.
+//! Colours of CSS by keyword or in hexadecimal digits, and from hue, saturation and lightness. Any thread.
 
 /// The keywords of CSS Color Module Level 4, section 6.1, with their values 0xRRGGBB, in alphabetical order.
 const KEYWORDS: [(&str, u32); 148] = [

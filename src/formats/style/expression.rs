@@ -1,4 +1,4 @@
-//! [`Expression`]: the tree of a parsed expression, and its evaluation.
+//! [`Expression`]: the tree of a parsed expression, and its evaluation. Decode threads.
 //!
 //! Operations that the specification does not allow for the types of their operands are no error, since the properties of
 //! features vary: comparisons are false, everything else is undefined. Conditions use JavaScript's truth values.

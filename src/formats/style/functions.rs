@@ -1,4 +1,4 @@
-//! [`Function`]: the built-in functions of the language.
+//! [`Function`]: the built-in functions of the language. Decode threads.
 
 use std::ops::RangeInclusive;
 

@@ -1,4 +1,4 @@
-//! A recursive-descent parser of expressions. Depth is bounded; errors name the column.
+//! A recursive-descent parser of expressions. Depth is bounded; errors name the column. Any thread.
 //!
 //! Strings have no escapes: a backslash is a character, as regular expressions need it and as CesiumJS reads it.
 

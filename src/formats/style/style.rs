@@ -1,4 +1,4 @@
-//! [`Style`]: a style that was read from JSON.
+//! [`Style`]: a style that was read from JSON. Immutable; shared by the decode threads.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

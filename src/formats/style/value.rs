@@ -1,4 +1,4 @@
-//! [`Value`]: the values of the styling language, with the conversions of JavaScript.
+//! [`Value`]: the values of the styling language, with the conversions of JavaScript. Decode threads.
 
 use std::sync::Arc;
 

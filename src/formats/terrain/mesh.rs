@@ -12,9 +12,9 @@ use crate::scene::{Mesh, MeshVertex};
 /// Sides of triangles that are shorter count as points, metres.
 const MIN_SIDE_M: f64 = 1e-6;
 
-/// Builds the mesh of a surface over a rectangle of an ellipsoid. Returns the position of its origin, ECEF metres; its axes are those of
-/// ECEF. Texture coordinates are shares of the rectangle, from its upper left corner. A skirt of `skirt_m` metres hangs
-/// from each edge: neighbours of other levels have other vertices there.
+/// Builds the mesh of a surface over a rectangle of an ellipsoid. Returns the position of its origin, ECEF metres; its axes are
+/// those of ECEF. Texture coordinates are shares of the rectangle, from its upper left corner. A skirt of `skirt_m` metres
+/// hangs from each edge: neighbours of other levels have other vertices there.
 pub(super) fn build(ellipsoid: &Ellipsoid, surface: &Surface, rectangle: &Rectangle, skirt_m: f64) -> (DVec3, Mesh) {
     let [low, high] = surface.heights_m();
     let middle = rectangle.region(*ellipsoid, [low, high]).center();

@@ -8,8 +8,8 @@ use super::tiling::Tiling;
 use crate::formats::implicit::TileCoordinates;
 use crate::math::Ellipsoid;
 
-/// The name of the ellipsoid in the names of its tiles.
-const ELLIPSOID: &str = "ellipsoid";
+/// The beginning of the names of the ellipsoid's tiles.
+const BARE: &str = "ellipsoid";
 
 /// The layers of a terrain service.
 #[derive(Debug)]
@@ -30,7 +30,7 @@ impl TerrainSet {
             Tiling::NorthCap => "-north",
             Tiling::SouthCap => "-south",
         };
-        Arc::new(Self { uri: format!("{ELLIPSOID}{part}").into(), tiling, ellipsoid, layers: Vec::new() })
+        Arc::new(Self { uri: format!("{BARE}{part}").into(), tiling, ellipsoid, layers: Vec::new() })
     }
 
     /// Returns the error of a level, metres.

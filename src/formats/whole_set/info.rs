@@ -1,4 +1,4 @@
-//! [`Info`]: the summary of a tile set, for `terrane info`.
+//! [`Info`]: the summary of a tile set, for `terrane info`. Plain values.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -77,8 +77,8 @@ pub struct BoundsInfo {
     pub center: [f64; 3],
     /// Radius in metres.
     pub radius_m: f64,
-    /// West, south, east and north in radians, then lowest and highest height in metres if they are known: those of the terrain if
-    /// the metadata of the set says them, else those of the root's volume, which holds skirts too.
+    /// West, south, east and north in radians, then lowest and highest height in metres if they are known: those of the terrain
+    /// if the metadata of the set says them, else those of the root's volume, which holds skirts too.
     pub region: Option<Vec<f64>>,
 }
 

@@ -9,8 +9,8 @@ use crate::math::{BoundingVolume, Ellipsoid, Region};
 /// A lower bound of the distance from a body's centre to its surface, as a share of its shortest radius.
 const MIN_RADIUS: f64 = 0.9753;
 
-/// Returns true if the volume, in the frame `world` of its tileset, overlaps the region. The set lies on an ellipsoid, which is that
-/// of the region whatever the region says. Heights are ignored.
+/// Returns true if the volume, in the frame `world` of its tileset, overlaps the region. The set lies on an ellipsoid, which is
+/// that of the region whatever the region says. Heights are ignored.
 pub(in crate::formats) fn overlaps(
     volume: &BoundingVolume,
     world: &DAffine3,

@@ -1,5 +1,5 @@
-//! [`survey`]: walks all tiles of a set, depth first, and measures their contents if they are read. [`verify`] reads and decodes
-//! them as the pager would, for `terrane info --verify`. One file at a time; blocking.
+//! [`survey`]: walks all tiles of a set, depth first, and measures their contents if they are read. [`verify`] reads and
+//! decodes them as the pager would, for `terrane info --verify`. One file at a time; blocking. Runs on the caller's thread.
 
 use std::collections::HashSet;
 use std::rc::Rc;

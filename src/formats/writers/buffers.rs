@@ -1,4 +1,5 @@
 //! [`Buffers`]: the binary chunk of a glb with its buffer views and accessors, compressed by EXT_meshopt_compression or not.
+//! Any thread.
 
 use meshoptimizer_rs::Workspace;
 use meshoptimizer_rs::codec::{

@@ -1,5 +1,5 @@
 //! Writes a minimal glb: one mesh, one material, embedded images of its colour and its normals (glTF 2.0, section "GLB File
-//! Format", KHR_mesh_quantization, KHR_texture_transform and EXT_meshopt_compression).
+//! Format", KHR_mesh_quantization, KHR_texture_transform and EXT_meshopt_compression). Any thread.
 
 use glam::DMat4;
 use serde_json::{Value, json};
@@ -26,9 +26,9 @@ pub struct GlbMesh {
     /// The roughness of the surface, which is no metal.
     pub roughness: GlbRoughness,
     /// Writes 16 instead of 32 bytes per vertex with KHR_mesh_quantization. Positions have steps of 1/65,535 of the longest side
-    /// of the bounding box, which the node's scale converts to metres. Normals and tangents have 8 bits, texture coordinates 16 bits.
-    /// Texture coordinates outside of 0..1 stay floats. So does everything in a mesh without positions or with positions that
-    /// are not finite.
+    /// of the bounding box, which the node's scale converts to metres. Normals and tangents have 8 bits, texture coordinates 16
+    /// bits. Texture coordinates outside of 0..1 stay floats. So does everything in a mesh without positions or with positions
+    /// that are not finite.
     pub quantized: bool,
     /// Maps the mesh to the frame of the file, which is y-up too; `None` for the same frame.
     pub file_from_mesh: Option<DMat4>,
@@ -51,8 +51,8 @@ pub enum GlbRoughness {
 pub struct GlbNormalMap {
     /// The file of the image, of the same formats as that of the base colour: red along the tangent, green against v.
     pub image: Vec<u8>,
-    /// The unit tangent of each vertex, along u, and 1 or -1: the bitangent is the cross product of normal and tangent, times that.
-    /// Empty if readers shall derive them.
+    /// The unit tangent of each vertex, along u, and 1 or -1: the bitangent is the cross product of normal and tangent, times
+    /// that. Empty if readers shall derive them.
     pub tangents: Vec<[f32; 4]>,
     /// The image is read at `uv * uv_scale + uv_offset` (KHR_texture_transform).
     pub uv_scale: [f32; 2],

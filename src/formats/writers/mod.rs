@@ -1,5 +1,5 @@
-//! Writers of tiles: glb, EXR and packed height tiles, and quantized-mesh terrain. Used by `data-gen`, by [`convert`](crate::formats::convert) and by applications
-//! that generate tiles; never called by the threads of the frame.
+//! Writers of tiles: glb, EXR and packed height tiles, and quantized-mesh terrain. Used by `data-gen`, by
+//! [`convert`](crate::formats::convert) and by applications that generate tiles; never called by the threads of the frame.
 
 mod buffers;
 mod container;

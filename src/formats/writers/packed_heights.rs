@@ -81,8 +81,8 @@ fn count_steps(heights: &[f32], step_m: f64, steps: &mut Vec<i32>) -> bool {
     })
 }
 
-/// Replaces samples by their differences from the plane through three neighbours, with the sign in the lowest bit. Returns the bits
-/// that any difference has.
+/// Replaces samples by their differences from the plane through three neighbours, with the sign in the lowest bit. Returns the
+/// bits that any difference has.
 fn subtract(steps: &[i32], side: usize, differences: &mut Vec<u32>) -> u32 {
     let zigzag = |difference: i32| (difference << 1 ^ difference >> 31) as u32;
     differences.clear();

@@ -1,4 +1,5 @@
-//! Writes terrain tiles of the format quantized-mesh-1.0 with the extensions octvertexnormals, watermask and metadata (Cesium's specification). Little endian.
+//! Writes terrain tiles of the format quantized-mesh-1.0 with the extensions octvertexnormals, watermask and metadata (Cesium's
+//! specification). Little endian. Any thread.
 
 use glam::DVec3;
 
@@ -35,15 +36,16 @@ pub struct TerrainMesh {
     pub normals: Vec<DVec3>,
     /// Three vertices for each triangle, counter-clockwise seen from above.
     pub triangles: Vec<u32>,
-    /// The water: 0 is land, 255 is water. One byte for the whole tile, or one for each of 256 x 256 cells, from the north-west corner
-    /// along the northern edge; empty for none.
+    /// The water: 0 is land, 255 is water. One byte for the whole tile, or one for each of 256 x 256 cells, from the north-west
+    /// corner along the northern edge; empty for none.
     pub water: Vec<u8>,
     /// The JSON of the extension `metadata`, such as the tiles that exist below; empty for none.
     pub metadata: String,
 }
 
-/// Returns the bytes of a quantized-mesh tile. Vertices that no triangle uses are left out. Returns `None` for incomplete triangles,
-/// invalid indices, normals of another number than the vertices, and water of another number of bytes than 1 or 65,536.
+/// Returns the bytes of a quantized-mesh tile. Vertices that no triangle uses are left out. Returns `None` for incomplete
+/// triangles, invalid indices, normals of another number than the vertices, and water of another number of bytes than 1 or
+/// 65,536.
 pub fn write_quantized_mesh(mesh: &TerrainMesh) -> Option<Vec<u8>> {
     let count = mesh.vertices.len();
     let has_normals = !mesh.normals.is_empty();
@@ -111,8 +113,8 @@ pub fn write_quantized_mesh(mesh: &TerrainMesh) -> Option<Vec<u8>> {
     Some(out)
 }
 
-/// Writes the centre, the heights, the bounding sphere and the horizon occlusion point. They hold for all heights of the tile, also
-/// those of finer tiles.
+/// Writes the centre, the heights, the bounding sphere and the horizon occlusion point. They hold for all heights of the tile,
+/// also those of finer tiles.
 fn write_header(mesh: &TerrainMesh, out: &mut Vec<u8>) {
     let ([west, south, east, north], [low_m, high_m]) = (mesh.rectangle, mesh.heights_m.map(f64::from));
     let at = |u: f64, v: f64, height_m: f64| {
@@ -138,8 +140,8 @@ fn write_header(mesh: &TerrainMesh, out: &mut Vec<u8>) {
     sphere.iter().chain(&point.to_array()).for_each(|c| out.extend(c.to_le_bytes()));
 }
 
-/// Returns the distance from the centre of a unit sphere, along a direction, of the point that is hidden only if `point` is hidden too
-/// (Ring 2013, Horizon Culling 2). Points below the sphere count as on it.
+/// Returns the distance from the centre of a unit sphere, along a direction, of the point that is hidden only if `point` is
+/// hidden too (Ring 2013, Horizon Culling 2). Points below the sphere count as on it.
 fn occlusion(point: DVec3, direction: DVec3) -> f64 {
     let distance = point.length().max(1.0);
     let own = point.normalize_or(direction);

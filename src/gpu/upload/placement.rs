@@ -225,8 +225,8 @@ fn queue_mesh(pools: &Pools, allocation: &MeshAllocation, mesh: &Arc<Mesh>, uplo
     }
 }
 
-/// Replaces the mesh of a drawable and writes its data by the queue at once. No copy of meshes may be pending. Returns true if the drawable now shares
-/// vertices or indices with another, whose uploads may be in progress.
+/// Replaces the mesh of a drawable and writes its data by the queue at once. No copy of meshes may be pending. Returns true if
+/// the drawable now shares vertices or indices with another, whose uploads may be in progress.
 pub(in crate::gpu) fn rewrite_mesh(
     (device, queue): (&wgpu::Device, &wgpu::Queue),
     pools: &mut Pools,

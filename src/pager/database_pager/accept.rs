@@ -1,4 +1,4 @@
-//! Accepts requests of culls and of scenes, and lets failures be requested again.
+//! Accepts requests of culls and of scenes, and lets failures be requested again. Update thread.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -40,8 +40,8 @@ fn most_urgent<S: Copy + Ord>(
 }
 
 impl DatabasePager {
-    /// Renews the requests that are known, and accepts the most urgent new ones: [`MAX_NEW`] at most, an equal share of each scene. Returns true if there is something
-    /// new to load, or a prefetch is wanted now.
+    /// Renews the requests that are known, and accepts the most urgent new ones: [`MAX_NEW`] at most, an equal share of each
+    /// scene. Returns true if there is something new to load, or a prefetch is wanted now.
     pub(super) fn accept(&mut self, scenes: &dyn SceneSet, requests: &[PageRequest]) -> bool {
         self.accept_some(scenes, requests, if self.config.blocking { usize::MAX } else { MAX_NEW })
     }

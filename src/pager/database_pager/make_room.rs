@@ -1,4 +1,4 @@
-//! Room in the budgets: uploads begin where there is room, pages expire, and arrivals without room are declined.
+//! Room in the budgets: uploads begin where there is room, pages expire, and arrivals without room are declined. Update thread.
 
 use super::{BEGIN_UPLOADS_END, DatabasePager, EXPIRY_END};
 use crate::pager::loading::ticket::RequestEnd;

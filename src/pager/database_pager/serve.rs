@@ -1,4 +1,4 @@
-//! Serving scenes: they are added and removed, and their roots are read.
+//! Serving scenes: they are added and removed, and their roots are read. Update thread.
 
 use std::sync::Arc;
 use std::time::Duration;

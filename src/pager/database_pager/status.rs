@@ -62,7 +62,7 @@ impl DatabasePager {
 
     /// Returns true when nothing waits, is read, decoded, uploaded or merged. Failures and prefetches do not count.
     pub fn is_idle(&self) -> bool {
-        self.table.waiting_now() == 0
+        self.table.waiting().wanted_now() == 0
             && !self.table.begun().any(|(_, entry)| !entry.is_prefetch() && !entry.has_failed())
     }
 
@@ -73,7 +73,7 @@ impl DatabasePager {
         let room = self.residency.room(self.arrivals.total());
         let fits = |entry: &Entry| entry.known_size.is_none_or(|size| room.fits(size));
         let is_under_way = |(_, entry): (NodeId, &Entry)| !entry.is_prefetch() && !entry.has_failed();
-        may_begin && self.table.has_waiting_that(fits) || self.table.begun().any(is_under_way)
+        may_begin && self.table.waiting().has_any_that(fits) || self.table.begun().any(is_under_way)
     }
 
     /// Returns true if another update would do something for the scenes or for these requests: accept one, or continue.
@@ -127,7 +127,7 @@ impl DatabasePager {
         (s.loading_waits, s.loading_wait_s) = (loading.waits, loading.waited.as_secs_f64());
         s.gpu_bytes_unused = self.residency.unused_gpu();
         (s.cpu_bytes_held, s.gpu_bytes_held) = (in_memory.cpu, in_memory.gpu);
-        (s.waiting, s.in_flight, s.decoding, s.compiling) = (self.table.waiting_count() as u64, 0, 0, 0);
+        (s.waiting, s.in_flight, s.decoding, s.compiling) = (self.table.waiting().len() as u64, 0, 0, 0);
         for (slot, entry) in self.table.begun() {
             match entry.progress {
                 Progress::Loading | Progress::Arrived => {

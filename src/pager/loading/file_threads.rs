@@ -2,8 +2,8 @@
 //!
 //! A read can hang for ever: a network drive whose server is gone, a failing disk. It cannot be stopped, and its thread hangs
 //! with it. The watch answers such a job with an error after a time limit, and starts another thread in place of the one that
-//! hangs, up to [`MAX_HUNG`] of them. Once all threads hang, it answers the jobs that wait, so that none waits for ever. A
-//! thread whose read ends after all drops what it has read, and goes on if threads are missing.
+//! hangs, up to [`MAX_HUNG_THREADS`] of them. Once all threads hang, it answers the jobs that wait, so that none waits for
+//! ever. A thread whose read ends after all drops what it has read, and goes on if threads are missing.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -19,7 +19,7 @@ use crate::pager::config::PagerError;
 
 /// Threads that hang and are replaced. They cost address space and no time, but a set on a broken disk must not start one for
 /// each of its tiles.
-const MAX_HUNG: usize = 8;
+const MAX_HUNG_THREADS: usize = 8;
 /// How long the end of the pager waits for reads.
 const MAX_JOIN_TIME: Duration = Duration::from_secs(1);
 /// Limits of the interval at which the watch looks.
@@ -252,7 +252,8 @@ impl<J: LoadJob> FileThreads<J> {
         let hung: Vec<Read<J>> = reads.under_way.extract_if(.., is_hung).collect();
         reads.hung += hung.len();
         reads.running -= hung.len();
-        let missing = self.readers.saturating_sub(reads.running).min(MAX_HUNG.saturating_sub(reads.hung - hung.len()));
+        let missing =
+            self.readers.saturating_sub(reads.running).min(MAX_HUNG_THREADS.saturating_sub(reads.hung - hung.len()));
         drop(reads);
         let seconds = self.timeout.as_secs_f64();
         for Read { job, file, permit, .. } in hung {

@@ -1,10 +1,10 @@
 //! The request list: the jobs that the file threads and the HTTP thread take their work from.
 //!
 //! One mutex guards the list; the file threads and the HTTP thread have a bell each. Update adds jobs, changes their urgency
-//! and removes them; a thread takes the most urgent one (`waiting_jobs.rs`). At most [`RequestList::capacity`] jobs are outstanding (taken
-//! and not yet answered), and the channels behind the threads hold as many. So no send of an answer blocks; only file
-//! threads wait, for decoders. The budgets allow fewer jobs than that; but each server, and the disk, may always have one:
-//! a server that hangs does not hold up the others.
+//! and removes them; a thread takes the most urgent one (`waiting_jobs.rs`). At most [`RequestList::capacity`] jobs are
+//! outstanding (taken and not yet answered), and the channels behind the threads hold as many. So no send of an answer blocks;
+//! only file threads wait, for decoders. The budgets allow fewer jobs than that; but each server, and the disk, may always have
+//! one: a server that hangs does not hold up the others.
 //!
 //! `tests/models/pager_models.rs` runs this very file under thousands of schedules.
 

@@ -3,8 +3,9 @@
 pub(super) mod entry;
 pub(super) mod fairness;
 pub(super) mod forced;
-mod listing;
+mod list_changes;
 pub(super) mod retry_policy;
 pub(super) mod scheduler;
 pub(super) mod state;
 pub(super) mod table;
+mod waiting;

@@ -160,7 +160,7 @@ fn drop_urgent_stale(
         }
         count += slots.len();
         slots.into_iter().for_each(|slot| table.end_stale(slot));
-        table.write_changes(list);
+        table.waiting_mut().write_changes(list);
     }
     count
 }
@@ -210,10 +210,10 @@ impl Scheduler {
                 aborted.push(entry.job.ticket);
             }
         }
-        table.collect_changes(max(MAX_CHANGED));
-        let (blocked, without_room) = table.list_sized(&at.room);
-        let now = table.waiting_now() - without_room;
-        let prefetches = table.waiting_prefetches(&at.room);
+        table.waiting_mut().collect_changes(max(MAX_CHANGED));
+        let (blocked, without_room) = table.waiting_mut().list_sized(&at.room);
+        let now = table.waiting().wanted_now() - without_room;
+        let prefetches = table.waiting().prefetches(&at.room);
         self.soon += prefetches.soon;
 
         // Locked from here on, so that no job is taken of which the list says otherwise.
@@ -224,8 +224,8 @@ impl Scheduler {
         // Where room is tight, only those are listed that are needed about as soon as the soonest.
         let short = prefetches.soonest.filter(|_| takes_any && room < prefetches.count as u64);
         let latest = short.map_or(u32::MAX, |soonest| soonest.saturating_add(PREFETCH_MARGIN_FRAMES));
-        let count = table.list_prefetches(&at.room, latest) as u64;
-        table.write_changes(&mut state);
+        let count = table.waiting_mut().list_prefetches(&at.room, latest) as u64;
+        table.waiting_mut().write_changes(&mut state);
         if table.has_stale(is_stale) {
             stale += drop_urgent_stale(table, &mut state, is_stale);
         }

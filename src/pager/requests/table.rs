@@ -1,14 +1,12 @@
-//! [`RequestTable`]: all requests for contents that are not merged, by slot.
+//! [`RequestTable`]: all requests for contents that are not merged, by slot. Update thread.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Instant;
 
-use lru::LruCache;
-
 use super::entry::{Entry, Progress};
-use super::listing::ListChanges;
 use super::retry_policy::RetryState;
+use super::waiting::WaitingRequests;
 use crate::cull::PageRequest;
 use crate::formats::TileVolume;
 use crate::pager::loading::page_job::{LoadStage, PageJob};
@@ -47,20 +45,12 @@ impl Changes {
 
 /// All requests for contents that are not merged, by slot, and the failures that are remembered. Update thread.
 ///
-/// Requests that wait for a thread are apart, in the order in which they were last renewed. So stale ones are found without
-/// a look at the others, and a frame that changes nothing examines only what is under way.
+/// Requests that wait for a thread are apart, so that a frame that changes nothing examines only what is under way.
 #[derive(Debug)]
 pub(in crate::pager) struct RequestTable {
-    /// Requests that wait for a thread; the one renewed longest ago is the least recently used.
-    pub(super) waiting: LruCache<NodeId, Entry>,
+    waiting: WaitingRequests,
     /// Requests that are loading, have arrived, or have failed.
     begun: HashMap<NodeId, Entry>,
-    /// Waiting requests that are prefetches. Looked at in no order.
-    pub(super) prefetches: HashSet<NodeId>,
-    /// Waiting requests whose size is known, since they were declined. Looked at in no order.
-    pub(super) sized: HashSet<NodeId>,
-    /// Changes that the request list does not have yet.
-    pub(super) changes: ListChanges,
     tickets: TicketIssuer,
 }
 
@@ -75,14 +65,7 @@ fn paging(slot: &SlotInfo<'_>) -> PagingOptions {
 
 impl RequestTable {
     pub fn new() -> Self {
-        Self {
-            waiting: LruCache::unbounded(),
-            begun: HashMap::new(),
-            prefetches: HashSet::new(),
-            sized: HashSet::new(),
-            changes: ListChanges::default(),
-            tickets: TicketIssuer::new(),
-        }
+        Self { waiting: WaitingRequests::new(), begun: HashMap::new(), tickets: TicketIssuer::new() }
     }
 
     /// Issues no ticket number that `before` has issued.
@@ -92,7 +75,7 @@ impl RequestTable {
 
     /// Returns the entry of a slot.
     pub fn get(&self, slot: NodeId) -> Option<&Entry> {
-        self.waiting.peek(&slot).or_else(|| self.begun.get(&slot))
+        self.waiting.get(slot).or_else(|| self.begun.get(&slot))
     }
 
     /// Returns the entry that a job belongs to; `None` if the job is of an earlier attempt or its slot is gone.
@@ -110,58 +93,24 @@ impl RequestTable {
         self.begun.iter().map(|(slot, entry)| (*slot, entry))
     }
 
-    /// Returns the number of requests that wait for a thread.
-    pub fn waiting_count(&self) -> usize {
-        self.waiting.len()
+    /// Returns the requests that wait for a thread.
+    pub fn waiting(&self) -> &WaitingRequests {
+        &self.waiting
     }
 
-    /// Returns the number of requests that wait for a thread and are not prefetches.
-    pub fn waiting_now(&self) -> usize {
-        self.waiting.len() - self.prefetches.len()
-    }
-
-    /// Returns true if a waiting request that is no prefetch has room as far as its size is known.
-    pub fn has_waiting_that(&self, fits: impl Fn(&Entry) -> bool) -> bool {
-        let sized =
-            || self.sized.iter().filter_map(|slot| self.waiting.peek(slot)).filter(|entry| !entry.is_prefetch());
-        let unfit = sized().filter(|entry| !fits(entry)).count();
-        self.waiting_now() > unfit
-    }
-
-    /// Inserts an entry that waits from now on.
-    fn insert_waiting(&mut self, mut entry: Entry) {
-        let slot = entry.job.slot;
-        entry.progress = Progress::Waiting;
-        (entry.listed, entry.noted_in) = (None, 0);
-        self.changes.note(&mut entry);
-        if entry.is_prefetch() {
-            self.prefetches.insert(slot);
-        }
-        if entry.known_size.is_some() {
-            self.sized.insert(slot);
-        }
-        self.waiting.put(slot, entry);
-    }
-
-    /// Removes a waiting entry, and its job from the list.
-    fn remove_waiting(&mut self, slot: NodeId) -> Option<Entry> {
-        let mut entry = self.waiting.pop(&slot)?;
-        self.prefetches.remove(&slot);
-        self.sized.remove(&slot);
-        if entry.listed.take().is_some() {
-            self.changes.removed.push(entry.job.ticket);
-        }
-        Some(entry)
+    /// Returns the requests that wait for a thread, to write them to the request list.
+    pub(super) fn waiting_mut(&mut self) -> &mut WaitingRequests {
+        &mut self.waiting
     }
 
     /// Removes the entry of a slot.
     pub fn remove(&mut self, slot: NodeId) -> Option<Entry> {
-        self.remove_waiting(slot).or_else(|| self.begun.remove(&slot))
+        self.waiting.remove(slot).or_else(|| self.begun.remove(&slot))
     }
 
     /// Changes an entry that does not wait any more, and returns the result.
     pub fn begin<R>(&mut self, slot: NodeId, change: impl FnOnce(&mut Entry) -> R) -> Option<R> {
-        if let Some(entry) = self.remove_waiting(slot) {
+        if let Some(entry) = self.waiting.remove(slot) {
             self.begun.insert(slot, entry);
         }
         self.begun.get_mut(&slot).map(change)
@@ -177,16 +126,8 @@ impl RequestTable {
     /// Renews the request for a known slot. Returns false if the slot has no entry.
     pub fn renew(&mut self, request: &PageRequest, frame: u32, changes: &mut Changes) -> bool {
         let slot = request.slot;
-        if let Some(entry) = self.waiting.get_mut(&slot) {
-            let was_prefetch = entry.is_prefetch();
-            changes.has_sooner |= request.ahead_frames == 0 && was_prefetch;
-            entry.renew(request, frame);
-            self.changes.note(entry);
-            match entry.is_prefetch() {
-                true if !was_prefetch => drop(self.prefetches.insert(slot)),
-                false if was_prefetch => drop(self.prefetches.remove(&slot)),
-                _ => {}
-            }
+        if let Some(is_sooner) = self.waiting.renew(request, frame) {
+            changes.has_sooner |= is_sooner;
             return true;
         }
         let Some(entry) = self.begun.get_mut(&slot) else { return false };
@@ -248,7 +189,7 @@ impl RequestTable {
             listed: None,
             noted_in: 0,
         };
-        self.insert_waiting(entry);
+        self.waiting.insert(entry);
     }
 
     /// Inserts a removed entry as a new attempt that waits.
@@ -256,7 +197,7 @@ impl RequestTable {
         entry.job.ticket = self.tickets.issue();
         entry.job.progress.set(LoadStage::Waiting);
         entry.job.ticket.trace_begin(&entry.job.uri);
-        self.insert_waiting(entry);
+        self.waiting.insert(entry);
     }
 
     /// Marks the entry of a job that a thread has taken. Returns false if the job has lost its entry.
@@ -277,10 +218,10 @@ impl RequestTable {
     pub fn drop_stale(&mut self, max: usize, is_stale: impl Fn(u32) -> bool) -> usize {
         let mut count = 0;
         while count < max
-            && let Some((slot, entry)) = self.waiting.peek_lru()
-            && is_stale(entry.wanted_frame)
+            && let Some(oldest) = self.waiting.oldest()
+            && is_stale(oldest.wanted_frame)
         {
-            let slot = *slot;
+            let slot = oldest.job.slot;
             self.end_stale(slot);
             count += 1;
         }
@@ -289,12 +230,12 @@ impl RequestTable {
 
     /// Returns true if `is_stale` holds of the frame in which a waiting request was last wanted.
     pub fn has_stale(&self, is_stale: impl Fn(u32) -> bool) -> bool {
-        self.waiting.peek_lru().is_some_and(|(_, entry)| is_stale(entry.wanted_frame))
+        self.waiting.oldest().is_some_and(|entry| is_stale(entry.wanted_frame))
     }
 
     /// Ends a waiting request that is stale.
     pub fn end_stale(&mut self, slot: NodeId) {
-        let Some(mut entry) = self.remove_waiting(slot) else { return };
+        let Some(mut entry) = self.waiting.remove(slot) else { return };
         entry.job.ticket.trace_end(RequestEnd::Stale);
         if entry.end_unwanted() {
             self.begun.insert(slot, entry);
@@ -332,7 +273,7 @@ impl RequestTable {
         match self.begun.get_mut(&slot) {
             Some(entry) if !matches!(entry.progress, Progress::Failed { .. }) => return,
             Some(entry) => entry.progress = Progress::Retryable,
-            None if self.waiting.contains(&slot) => return,
+            None if self.waiting.get(slot).is_some() => return,
             None => {}
         }
         scenes.set_failed(slot, false);
@@ -346,22 +287,9 @@ impl RequestTable {
 
     /// Replaces the read scope of all requests of a scene.
     pub fn set_scope(&mut self, scene: SceneNumber, scope: &Arc<ReadScope>) {
-        let waiting = self.waiting.iter_mut().map(|(_, entry)| entry);
-        let of_scene = |entry: &&mut Entry| entry.job.slot.page.scene == scene;
-        for entry in waiting.chain(self.begun.values_mut()).filter(of_scene) {
+        self.waiting.set_scope(scene, scope, &mut self.tickets);
+        for (_, entry) in self.begun.iter_mut().filter(|(slot, _)| slot.page.scene == scene) {
             entry.job.scope = scope.clone();
-            // The list, or a thread that took the job meanwhile, has a copy of it: that one is of an earlier attempt now.
-            if entry.listed.take().is_some() {
-                self.changes.removed.push(entry.job.ticket);
-                entry.job.ticket.trace_end(RequestEnd::Dropped);
-                entry.job.ticket = self.tickets.issue();
-                entry.job.progress = Arc::default();
-                entry.job.ticket.trace_begin(&entry.job.uri);
-                entry.noted_in = 0;
-            }
-            if entry.progress == Progress::Waiting {
-                self.changes.note(entry);
-            }
         }
     }
 }

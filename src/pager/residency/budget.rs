@@ -1,4 +1,4 @@
-//! Memory use against the budgets.
+//! [`Budget`]: the memory that merged and arrived pages may take, and what is left of it. Update thread.
 //!
 //! The budgets hold for merged pages and those that have arrived and wait for their uploads or their merge, together.
 //! A page's CPU bytes are known when it arrives, and so are those of the textures of its state sets on the GPU, each counted

@@ -1,9 +1,9 @@
-//! [`Residency`]: the merged pages, their memory and that of the contents they share.
+//! [`Residency`]: the merged pages, their memory and that of the contents they share. Update thread.
 
 use super::budget::{ArrivedTotal, Budget, MemoryUse, Room, moving_mean};
+use super::content_users::ContentUsers;
 use super::expiry::{ExpirySearch, Unused};
 use super::residents::{RemovedByApplication, Resident, Residents};
-use super::shared_content::SharedContent;
 use crate::pager::frame_times::FrameTimes;
 use crate::pager::scenes::scene_set::SceneSet;
 use crate::scene::{ContentKey, NodeId, Page, PageId, Scene, SceneNumber};
@@ -14,7 +14,7 @@ pub(in crate::pager) struct Residency {
     budget: Budget,
     roots: RootTrees,
     residents: Residents,
-    shared: SharedContent,
+    shared: ContentUsers,
     /// Mean size of recent pages, to reserve budget before a size is known; 0 before the first.
     mean: MemoryUse,
     search: ExpirySearch,
@@ -32,7 +32,7 @@ struct RootTrees {
 
 impl Residency {
     pub fn new(budget: Budget) -> Self {
-        let (shared, search) = (SharedContent::default(), ExpirySearch::default());
+        let (shared, search) = (ContentUsers::default(), ExpirySearch::default());
         let residents = Residents::new();
         Self {
             budget,

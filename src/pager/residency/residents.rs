@@ -1,4 +1,4 @@
-//! Merged pages in the order of their last use, and what each holds.
+//! Merged pages in the order of their last use, and what each holds. Update thread.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, HashMap};

@@ -263,7 +263,8 @@ impl SceneRegistry {
         state.map(|state| state.scope.clone())
     }
 
-    /// Notes that `uri`, which lies on an ellipsoid, was read as the root of a scene, or of the initial scope if `scene` is `None`.
+    /// Notes that `uri`, which lies on an ellipsoid, was read as the root of a scene, or of the initial scope if `scene` is
+    /// `None`.
     pub fn note_root(&mut self, scene: Option<SceneNumber>, uri: &Arc<str>, ellipsoid: Ellipsoid) {
         let first = self.first;
         let state = match scene {

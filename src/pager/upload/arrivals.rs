@@ -1,4 +1,4 @@
-//! [`Arrivals`]: pages that were loaded and wait for their upload or their merge.
+//! [`Arrivals`]: pages that were loaded and wait for their upload or their merge. Update thread.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, HashMap, VecDeque};

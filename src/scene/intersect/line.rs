@@ -1,4 +1,4 @@
-//! Intersections with segments and rays.
+//! Intersectors of segments and rays, for picking and for the ground below a camera. Any thread.
 
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 
@@ -223,8 +223,8 @@ impl LineSegmentIntersector {
     }
 
     /// Creates a segment between two points of an image, each in pixels with a depth. The depth is 1 at the near plane and 0 at
-    /// the far plane; no segment can end infinitely far. It meets geometry of every projection that draws there and whose viewport
-    /// contains both points; OSG's intersector in window coordinates.
+    /// the far plane; no segment can end infinitely far. It meets geometry of every projection that draws there and whose
+    /// viewport contains both points; OSG's intersector in window coordinates.
     ///
     /// Ratios of other projections are converted to the position of equal depth along this segment. Geometry drawn over
     /// others comes first, whatever its ratio.

@@ -91,19 +91,22 @@ fn add(builder: &mut PageBuilder, node: Node, above: Inherited) -> Result<Open, 
     let children = children.into_iter();
     let start = builder.start_node()?;
     let index = start.node;
-    let Inherited { node: parent, mut transform, mut path, mut tile } = above;
+    let mut below = Inherited { node: index, ..above };
     if let Some(set) = state_set {
-        path = builder.path_below(path, set);
+        below.path = builder.path_below(above.path, set);
     }
-    if tile != NONE && !is_tile(&node_kind) {
+    if above.tile != NONE && !is_tile(&node_kind) {
         discard(children);
         return Err(SceneError::TileChild { kind: kind_name(&node_kind) });
     }
     builder.push_name(index, name);
     let mut flags = if culling_active { 0 } else { INACTIVE | UNCULLED };
+    if has_effect_outside(&node_kind) {
+        flags |= INACTIVE;
+    }
     if let Some(callback) = cull_callback {
         flags |= CALLBACK;
-        builder.push_cull_callback(index, callback, path);
+        builder.push_cull_callback(index, callback, below.path);
     }
     if let Some(callback) = node.update_callback {
         builder.push_update_callback(index, callback);
@@ -114,106 +117,92 @@ fn add(builder: &mut PageBuilder, node: Node, above: Inherited) -> Result<Open, 
     if let Some(metadata) = node.metadata {
         builder.push_metadata(index, metadata);
     }
-    let mut payload = NONE;
-    let code = match node_kind {
-        NodeKind::Group => kind::GROUP,
+    let (code, payload) = add_kind(builder, node_kind, &mut below);
+    builder.push_node(start, code, flags, above.node, mask, payload);
+    Ok(Open { children, inherited: below })
+}
+
+/// Adds the payload of a node's kind, and changes what the children inherit. Returns the code of the kind and the payload
+/// of the node.
+fn add_kind(builder: &mut PageBuilder, node_kind: NodeKind, below: &mut Inherited) -> (u8, u32) {
+    let Inherited { node, transform, path, tile } = *below;
+    let rare = match node_kind {
+        NodeKind::Group => return (kind::GROUP, NONE),
         NodeKind::Transform(parent_from_child) => {
-            transform = builder.push_transform(transform, parent_from_child);
-            kind::TRANSFORM
+            below.transform = builder.push_transform(transform, parent_from_child);
+            return (kind::TRANSFORM, NONE);
         }
         NodeKind::Geode(drawables) => {
             for drawable in drawables {
                 builder.push_drawable(drawable, transform, path);
             }
-            kind::GEODE
+            return (kind::GEODE, NONE);
         }
-        NodeKind::Switch(shown) => {
-            payload = builder.push_switch(shown);
-            kind::SWITCH
-        }
+        NodeKind::Switch(shown) => return (kind::SWITCH, builder.push_switch(shown)),
         NodeKind::Lod { center, ranges_m } => {
-            payload = builder.push_lod(LodRecord { center, radius_m: None, ranges: ranges_m.into_boxed_slice() });
-            kind::LOD
+            let ranges = ranges_m.into_boxed_slice();
+            return (kind::LOD, builder.push_lod(LodRecord { center, radius_m: None, ranges }));
         }
         NodeKind::LodByPixelSize { center, radius_m, ranges_px } => {
             let ranges = ranges_px.into_boxed_slice();
-            payload = builder.push_lod(LodRecord { center, radius_m: Some(radius_m), ranges });
-            kind::LOD
+            return (kind::LOD, builder.push_lod(LodRecord { center, radius_m: Some(radius_m), ranges }));
         }
         NodeKind::PagedLod(lod) | NodeKind::MultiContentTile(lod) => {
-            payload = builder.push_paged_lod(tile, index, transform, path, *lod);
-            tile = payload;
-            kind::TILE
+            below.tile = builder.push_paged_lod(tile, node, transform, path, *lod);
+            return (kind::TILE, below.tile);
         }
         NodeKind::ProxyNode(proxy) => {
-            payload = builder.push_proxy(tile, index, transform, path, *proxy);
-            tile = payload;
-            kind::TILE
+            below.tile = builder.push_proxy(tile, node, transform, path, *proxy);
+            return (kind::TILE, below.tile);
         }
-        NodeKind::Billboard(billboard) => {
-            payload = add_billboard(builder, *billboard, transform, path);
-            kind::SPECIAL
-        }
-        NodeKind::LightSource(light) => {
-            payload = builder.push_rare(RareNode::LightSource(*light));
-            // A light has an effect outside its own bound.
-            flags |= INACTIVE;
-            kind::SPECIAL
-        }
+        NodeKind::Billboard(billboard) => add_billboard(builder, *billboard, transform, path),
+        NodeKind::LightSource(light) => RareNode::LightSource(*light),
         NodeKind::LocalLights(lights) => {
-            path = builder.lights_path(path);
-            payload = builder.push_rare(RareNode::LocalLights { lights: Arc::new(lights), path });
-            kind::SPECIAL
+            below.path = builder.lights_path(path);
+            RareNode::LocalLights { lights: Arc::new(lights), path: below.path }
         }
         NodeKind::ClipNode(clip) => {
-            path = builder.path_below(path, Arc::new(modes_of(&clip)));
-            payload = builder.push_rare(RareNode::ClipNode(*clip));
-            kind::SPECIAL
+            below.path = builder.path_below(path, Arc::new(modes_of(&clip)));
+            RareNode::ClipNode(*clip)
         }
-        NodeKind::TexGenNode(texgen) => {
-            payload = builder.push_rare(RareNode::TexGenNode(*texgen));
-            flags |= INACTIVE;
-            kind::SPECIAL
-        }
-        NodeKind::ClearNode(clear) => {
-            payload = builder.push_rare(RareNode::ClearNode(clear));
-            flags |= INACTIVE;
-            kind::SPECIAL
-        }
+        NodeKind::TexGenNode(texgen) => RareNode::TexGenNode(*texgen),
+        NodeKind::ClearNode(clear) => RareNode::ClearNode(clear),
         NodeKind::Camera(camera) => {
-            path = builder.view_path(path);
-            flags |= INACTIVE;
-            payload = builder.push_rare(RareNode::Camera { camera, path });
-            kind::SPECIAL
+            below.path = builder.view_path(path);
+            RareNode::Camera { camera, path: below.path }
         }
         NodeKind::Projection(clip_from_eye) => {
-            path = builder.view_path(path);
-            flags |= INACTIVE;
-            payload = builder.push_rare(RareNode::Projection { clip_from_eye, path });
-            kind::SPECIAL
+            below.path = builder.view_path(path);
+            RareNode::Projection { clip_from_eye, path: below.path }
         }
         NodeKind::AbsoluteTransform(eye_from_child) => {
-            transform = builder.push_transform(transform, eye_from_child);
-            flags |= INACTIVE;
-            payload = builder.push_rare(RareNode::AbsoluteTransform);
-            kind::SPECIAL
+            below.transform = builder.push_transform(transform, eye_from_child);
+            RareNode::AbsoluteTransform
         }
         NodeKind::OccluderNode(occluder) => {
-            builder.push_occluder(index, transform, *occluder);
-            payload = builder.push_rare(RareNode::Occluder);
-            kind::SPECIAL
+            builder.push_occluder(node, transform, *occluder);
+            RareNode::Occluder
         }
-        NodeKind::OcclusionQueryNode(query) => {
-            payload = builder.push_rare(RareNode::OcclusionQuery(*query));
-            kind::SPECIAL
-        }
+        NodeKind::OcclusionQueryNode(query) => RareNode::OcclusionQuery(*query),
     };
-    builder.push_node(start, code, flags, parent, mask, payload);
-    Ok(Open { children, inherited: Inherited { node: index, transform, path, tile } })
+    (kind::SPECIAL, builder.push_rare(rare))
 }
 
-/// Adds the drawables of a billboard under a transform and a path of state sets; returns the payload of its node.
-fn add_billboard(builder: &mut PageBuilder, billboard: Billboard, transform: u32, path: u32) -> u32 {
+/// Returns true for nodes that have an effect outside their own bound, so that they are visited wherever it lies.
+fn has_effect_outside(kind: &NodeKind) -> bool {
+    matches!(
+        kind,
+        NodeKind::LightSource(_)
+            | NodeKind::TexGenNode(_)
+            | NodeKind::ClearNode(_)
+            | NodeKind::Camera(_)
+            | NodeKind::Projection(_)
+            | NodeKind::AbsoluteTransform(_)
+    )
+}
+
+/// Adds the drawables of a billboard under a transform and a path of state sets, and returns its record.
+fn add_billboard(builder: &mut PageBuilder, billboard: Billboard, transform: u32, path: u32) -> RareNode {
     let Billboard { mode, auto_scale, drawables } = billboard;
     let mut positions = Vec::with_capacity(drawables.len());
     let mut bounds = Vec::with_capacity(drawables.len());
@@ -222,7 +211,7 @@ fn add_billboard(builder: &mut PageBuilder, billboard: Billboard, transform: u32
         builder.push_drawable(drawable, transform, path);
         positions.push(position);
     }
-    builder.push_rare(RareNode::Billboard { mode, auto_scale, positions, bounds })
+    RareNode::Billboard { mode, auto_scale, positions, bounds }
 }
 
 /// Returns a state set that switches the planes of a clip node on. Draw reports plane numbers that are out of range.

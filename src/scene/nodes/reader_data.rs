@@ -35,8 +35,8 @@ pub trait ReaderValue: Any + Debug + Send + Sync {
         None
     }
 
-    /// Returns the region of the content on the ellipsoid of its set, if the reader knows it: west, south, east and north in radians. East is
-    /// beyond pi across the antimeridian. Raster overlays cover it.
+    /// Returns the region of the content on the ellipsoid of its set, if the reader knows it: west, south, east and north in
+    /// radians. East is beyond pi across the antimeridian. Raster overlays cover it.
     fn region(&self) -> Option<[f64; 4]> {
         None
     }

@@ -1,4 +1,4 @@
-//! [`AnimationPath`]: control points over time, and the pose between them.
+//! [`AnimationPath`]: control points over time, and the pose between them. Plain values.
 
 use glam::{DAffine3, DQuat, DVec3};
 

@@ -1,4 +1,5 @@
-//! [`DisplaySettings`]: the screen, the viewer's seat in front of it, stereo and the limits of graphics contexts.
+//! [`DisplaySettings`]: the screen, the viewer's seat in front of it, stereo and the limits of graphics contexts. Read on the
+//! main thread before the viewer is created.
 //!
 //! An application reads them once, before it creates a viewer: samples, contexts and stereo cannot change afterwards.
 

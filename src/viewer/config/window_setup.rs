@@ -2,9 +2,12 @@
 
 use glam::{DAffine3, DMat4};
 
+use crate::gpu::ContextTraits;
 use crate::viewer::camera::ResizePolicy;
-use crate::viewer::view::Eyes;
+use crate::viewer::frame::ViewerConfig;
+use crate::viewer::ids::ContextId;
 use crate::viewer::view::viewport::ViewArea;
+use crate::viewer::view::{Eyes, Slave};
 
 /// The longest side that a window or a viewport may have, pixels.
 pub(super) const MAX_SIDE_PX: u32 = 16_384;
@@ -36,6 +39,14 @@ impl Default for CameraSetup {
             view_offset: DAffine3::IDENTITY,
             eyes: Eyes::Both,
         }
+    }
+}
+
+impl CameraSetup {
+    /// Returns the slave that draws into the window of a context.
+    pub(in crate::viewer) fn slave_in(&self, context: ContextId) -> Slave {
+        let Self { viewport, projection_offset, view_offset, eyes, .. } = *self;
+        Slave { viewport, projection_offset, view_offset, eyes, ..Slave::new(context) }
     }
 }
 
@@ -81,6 +92,18 @@ impl Default for WindowSetup {
             samples: None,
             vsync: None,
             cameras: vec![CameraSetup::default()],
+        }
+    }
+}
+
+impl WindowSetup {
+    /// Returns the traits of the window's context.
+    pub(in crate::viewer) fn traits(&self, config: &ViewerConfig, size_px: [u32; 2]) -> ContextTraits {
+        ContextTraits {
+            size_px,
+            samples: self.samples.unwrap_or(config.samples),
+            vsync: self.vsync.unwrap_or(config.vsync),
+            ..config.traits()
         }
     }
 }

@@ -1,4 +1,4 @@
-//! [`GuiEventAdapter`]: one event, and the input state just after it; OSG's `GUIEventAdapter`.
+//! [`GuiEventAdapter`]: one event, and the input state just after it; OSG's `GUIEventAdapter`. Plain values.
 
 use std::any::Any;
 use std::path::PathBuf;

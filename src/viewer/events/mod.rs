@@ -1,8 +1,8 @@
 //! Input events, independent of any window library; OSG's `osgGA`.
 //!
 //! A window, a test or another toolkit feeds the [`EventQueue`]. The event phase of each frame takes the queued events and
-//! passes each [`GuiEventAdapter`] to the [`GuiEventHandler`](crate::viewer::GuiEventHandler)s, then to the manipulator. Everything runs on the main thread,
-//! except [`UserEvents`], through which any thread sends events of the application.
+//! passes each [`GuiEventAdapter`] to the [`GuiEventHandler`](crate::viewer::GuiEventHandler)s, then to the manipulator.
+//! Everything runs on the main thread, except [`UserEvents`], through which any thread sends events of the application.
 
 mod button;
 mod event;

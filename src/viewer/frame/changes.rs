@@ -15,9 +15,9 @@ use crate::viewer::paging::SceneList;
 use crate::viewer::rendering::FrameDone;
 use crate::viewer::view::{Probe, View, ViewList};
 
-/// When a change of [`View::environment`] takes effect if it needs pipelines that do not exist: shadows or water that are switched on
-/// or off, another kind of sky or haze, other tone mapping. Changes of values, such as the sun's direction, take effect in the next
-/// frame.
+/// When a change of [`View::environment`] takes effect if it needs pipelines that do not exist: shadows or water that are
+/// switched on or off, another kind of sky or haze, other tone mapping. Changes of values, such as the sun's direction, take
+/// effect in the next frame.
 ///
 /// The blocking mode of the pager never waits for pipelines in a later frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -36,8 +36,8 @@ pub enum EnvironmentChanges {
 /// When drawables are shown whose pipelines do not exist: nodes and state sets that the application adds to the scene graph, or
 /// changes. The contents of pages have theirs before they are merged.
 ///
-/// A first stencil or a light of number 0 changes the pipelines of all drawables of a view. Then nothing is hidden: the frame creates
-/// the pipelines, as the first frame of a view does. The blocking mode of the pager hides nothing either.
+/// A first stencil or a light of number 0 changes the pipelines of all drawables of a view. Then nothing is hidden: the frame
+/// creates the pipelines, as the first frame of a view does. The blocking mode of the pager hides nothing either.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum NewStates {
     /// The next frame shows them and takes as long as their pipelines take, as in OpenSceneGraph: 20 to 200 ms each on many
@@ -109,7 +109,8 @@ impl EnvironmentRehearsals {
         }
     }
 
-    /// Decides with which environment each view is drawn in a frame that leaves out what lacks pipelines if `hides_unready`. Returns the views whose changes it rehearses.
+    /// Decides with which environment each view is drawn in a frame that leaves out what lacks pipelines if `hides_unready`.
+    /// Returns the views whose changes it rehearses.
     pub fn follow_environments(
         &mut self,
         changes: EnvironmentChanges,

@@ -41,7 +41,8 @@ impl FrameLoop {
         self.collect(done)
     }
 
-    /// Waits until each camera has a free render stage. Meanwhile arrived pages are merged and the contents of new tiles requested.
+    /// Waits until each camera has a free render stage. Meanwhile arrived pages are merged and the contents of new tiles
+    /// requested.
     pub(super) fn wait_for_stage(&mut self, views: &ViewList, scenes: &mut SceneList) -> Result<(), ViewerError> {
         let _span = trace::span("wait for stage");
         for device in 0..self.rendering.device_count() {

@@ -1,14 +1,14 @@
 //! [`ViewerConfig`]: the settings with which a viewer is made.
 
-use super::changes::{EnvironmentChanges, NewStates};
-use crate::scene::CullSettings;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::changes::{EnvironmentChanges, NewStates};
 use crate::cull::Stereo;
 use crate::gpu::{AdapterChoice, CompileBudget, CompilePace, ContextTraits, GraphicsContext};
 use crate::pager::PagerConfig;
+use crate::scene::CullSettings;
 use crate::sync::Operation;
 use crate::viewer::camera::FieldOfView;
 use crate::viewer::rendering::ThreadingModel;
@@ -74,8 +74,9 @@ pub struct ViewerConfig {
     /// no cache.
     pub pipeline_cache: Option<PathBuf>,
     /// Runs once for each context when it is opened, on the thread that opens it, and again when another device replaces a
-    /// lost one; OSG's realize operation. [`CompositeViewer::set_realize_operation`](crate::viewer::CompositeViewer::set_realize_operation)
-    /// sets another one for later contexts.
+    /// lost one; OSG's realize operation.
+    /// [`CompositeViewer::set_realize_operation`](crate::viewer::CompositeViewer::set_realize_operation) sets another one for
+    /// later contexts.
     pub realize_operation: Option<Arc<dyn Operation<GraphicsContext>>>,
 }
 

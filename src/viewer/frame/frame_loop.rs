@@ -134,7 +134,7 @@ impl FrameLoop {
         &mut self.pictures
     }
 
-    /// The threading model that runs, or will run from the first frame on.
+    /// Returns the threading model that runs, or will run from the first frame on.
     pub(in crate::viewer) fn threading_model(&self) -> ThreadingModel {
         self.rendering.model()
     }
@@ -154,12 +154,12 @@ impl FrameLoop {
         self.pictures.capture(context.0, frame, then);
     }
 
-    /// True while a requested image has not arrived.
+    /// Returns true while a requested image has not arrived.
     pub(in crate::viewer) fn awaits_picture(&self) -> bool {
         self.pictures.is_waiting()
     }
 
-    /// True while results of occlusion queries, or of cameras that are read back, are older than the last change.
+    /// Returns true while results of occlusion queries, or of cameras that are read back, are older than the last change.
     pub(in crate::viewer) fn awaits_answers(&self) -> bool {
         self.query_answers.is_waiting(self.stamp().frame)
     }
@@ -254,7 +254,8 @@ impl FrameLoop {
         self.config.new_states == NewStates::WhenReady && !self.is_blocking()
     }
 
-    /// Runs the part of update after the application's callbacks. Returns true when draw reads data that the next update overwrites.
+    /// Runs the part of update after the application's callbacks. Returns true when draw reads data that the next update
+    /// overwrites.
     fn update(
         &mut self,
         views: &ViewList,
@@ -359,7 +360,7 @@ impl FrameLoop {
         }
     }
 
-    /// The job of a context for the current frame: to draw what its cameras cull.
+    /// Returns the job of a context for the current frame: to draw what its cameras cull.
     pub(super) fn job(&self) -> FrameJob {
         let busy = self.results.history().busy(self.rendering.model());
         FrameJob {

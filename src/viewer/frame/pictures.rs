@@ -44,7 +44,7 @@ impl PictureRequests {
         of_context.map(|(_, frame, picture)| (frame, picture)).collect()
     }
 
-    /// True while a requested image has not arrived.
+    /// Returns true while a requested image has not arrived.
     pub(in crate::viewer) fn is_waiting(&self) -> bool {
         !(self.captures.is_empty() && self.wanted.is_empty() && self.in_flight.is_empty())
     }
@@ -54,7 +54,7 @@ impl PictureRequests {
         self.in_flight.extend(self.wanted.drain(..).map(|context| (context, frame)));
     }
 
-    /// True when a frame of a context must be read back.
+    /// Returns true when a frame of a context must be read back.
     pub(super) fn reads_back(&self, context: u32, frame: u32) -> bool {
         self.in_flight.contains(&(context, frame))
             || self.captures.iter().any(|of| (of.context, of.frame) == (context, frame))

@@ -31,7 +31,7 @@ impl QueryAnswers {
         }
     }
 
-    /// True when a result that the last frame used is older than the last change.
+    /// Returns true when a result that the last frame used is older than the last change.
     pub(super) fn is_waiting(&self, frame: u32) -> bool {
         let frames = frame.saturating_sub(self.changed_frame);
         self.age > frames && frames < MAX_AWAITED_FRAMES

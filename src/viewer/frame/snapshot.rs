@@ -4,7 +4,6 @@ use image::RgbaImage;
 
 use super::frame_loop::FrameLoop;
 use super::stats::FrameStats;
-
 use crate::scene::{DrawSlot, Sky};
 use crate::viewer::paging::PagedScene;
 use crate::viewer::rendering::FrameJob;
@@ -63,7 +62,7 @@ impl FrameLoop {
         }
     }
 
-    /// The draw slots that the probe's last cull draws, sorted.
+    /// Returns the draw slots that the probe's last cull draws, sorted.
     pub(in crate::viewer) fn drawn_slots(&self) -> Vec<DrawSlot> {
         let mut drawn: Vec<DrawSlot> = Vec::new();
         // In stereo the eyes are pre-render stages.

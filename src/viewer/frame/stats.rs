@@ -120,7 +120,7 @@ impl StatsHistory {
         self.frames.iter_mut().rev().find(|s| s.frame == frame)
     }
 
-    /// The frames, newest last.
+    /// Returns the frames, newest last.
     pub fn iter(&self) -> impl DoubleEndedIterator<Item = &FrameStats> + ExactSizeIterator + Clone {
         self.frames.range(if self.is_on { 0 } else { self.frames.len() }..)
     }

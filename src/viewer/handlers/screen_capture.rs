@@ -1,4 +1,5 @@
-//! [`ScreenCaptureHandler`]: writes images of the view.
+//! [`ScreenCaptureHandler`]: writes images of the view to files, one or every frame. Main thread; a separate
+//! thread writes each file.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};

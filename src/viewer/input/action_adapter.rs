@@ -1,4 +1,4 @@
-//! [`GuiActionAdapter`]: the view, scene and viewer that event handlers use and change; OSG's `GUIActionAdapter`.
+//! [`GuiActionAdapter`]: the view, scene and viewer that event handlers use and change; OSG's `GUIActionAdapter`. Main thread.
 
 use std::ops::{Deref, DerefMut};
 

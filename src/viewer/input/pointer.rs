@@ -46,7 +46,7 @@ impl View {
         Some(CameraWindow { number: slave.0, slave: Some(slave), matrix })
     }
 
-    /// The cameras in a context, in the order drawn.
+    /// Returns the cameras in a context, in the order drawn.
     fn camera_windows(&self, context: ContextId) -> impl Iterator<Item = CameraWindow> {
         let master = self.master_window().filter(|_| self.context() == Some(context));
         let slaves = self.slaves().filter(move |(_, slave)| slave.context == context);
@@ -105,7 +105,7 @@ impl View {
         }
     }
 
-    /// The first slave in a window without the master camera.
+    /// Returns the first slave in a window without the master camera.
     fn first_slave_in(&self, context: ContextId) -> Option<SlaveId> {
         self.camera_windows(context).next().and_then(|camera| camera.slave)
     }

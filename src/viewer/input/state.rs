@@ -1,4 +1,4 @@
-//! [`Input`]: the input state of a view.
+//! [`Input`]: the input state of a view: its queue, handlers, manipulator, notice and overlay. Main thread.
 
 use std::sync::Arc;
 

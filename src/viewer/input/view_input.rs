@@ -1,4 +1,4 @@
-//! The methods of [`View`] on input that need no scene: queue, handlers, manipulator, notices and overlay.
+//! The methods of [`View`] on input that need no scene: queue, handlers, manipulator, notices and overlay. Main thread.
 
 use std::sync::Arc;
 
@@ -35,8 +35,8 @@ impl View {
         self.input.handlers.clear();
     }
 
-    /// Sets a callback of the view's cameras; OSG's update callback of a camera. It is called once a frame, after the callbacks of
-    /// the scene and before the manipulator moves the camera, and may change camera and slaves.
+    /// Sets a callback of the view's cameras; OSG's update callback of a camera. It is called once a frame, after the callbacks
+    /// of the scene and before the manipulator moves the camera, and may change camera and slaves.
     pub fn set_update_callback(&mut self, callback: Option<ViewUpdate>) {
         self.input.on_update = callback;
         self.request_redraw();

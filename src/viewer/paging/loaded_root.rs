@@ -11,9 +11,9 @@ use crate::viewer::ViewerError;
 use crate::viewer::view::set_bounds::{is_globe, whole_body};
 
 /// The name of the root that [`LoadedRoot::ellipsoid`] returns.
-const ELLIPSOID: &str = "globe";
+const GLOBE: &str = "globe";
 /// The depth below the ellipsoid that its coarsest triangles stay above, as a share of its radius.
-const ELLIPSOID_DEPTH: f64 = 10_000.0 / 6_378_137.0;
+const GLOBE_DEPTH: f64 = 10_000.0 / 6_378_137.0;
 
 /// A root tile set that was read, and the pager that loads the rest of it. It can be read before a viewer exists, for
 /// example while a window opens; see [`Viewer::set_root`](crate::viewer::Viewer::set_root).
@@ -36,10 +36,10 @@ impl LoadedRoot {
         Self::read_for(source, config, BlockFormats::NONE)
     }
 
-    /// Returns the surface of the configuration's ellipsoid as a root. Nothing is read: its tiles are computed when they are wanted, and a pager is
-    /// started for them.
+    /// Returns the surface of the configuration's ellipsoid as a root. Nothing is read: its tiles are computed when they are
+    /// wanted, and a pager is started for them.
     pub fn ellipsoid(config: &PagerConfig) -> Result<Self, ViewerError> {
-        let uri: Arc<str> = ELLIPSOID.into();
+        let uri: Arc<str> = GLOBE.into();
         let ellipsoid = config.ellipsoid;
         // Overlays ask for the position on the earth, which only the contents of a tileset have.
         let options = formats::ReadOptions {
@@ -51,7 +51,7 @@ impl LoadedRoot {
         let page = Page::from_node(formats::ellipsoid(ellipsoid));
         let mut page = page.map_err(|error| IoError::Uri { uri: uri.to_string(), reason: error.to_string() })?;
         page.set_ellipsoid(ellipsoid);
-        let region = whole_body(ellipsoid, [-ELLIPSOID_DEPTH * ellipsoid.semi_major_m, 0.0]);
+        let region = whole_body(ellipsoid, [-GLOBE_DEPTH * ellipsoid.semi_major_m, 0.0]);
         Ok(Self { pager, page, uri, region: Some(region) })
     }
 

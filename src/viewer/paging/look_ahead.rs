@@ -27,7 +27,7 @@ const MAX_DEVIATION: f64 = 0.5;
 /// Smaller turns count as this many radians when deviations are compared with them.
 const MIN_TURN: f64 = 0.1;
 
-/// True when a path that was to end at `aimed` now ends too far from it, at `then`.
+/// Returns true when a path that was to end at `aimed` now ends too far from it, at `then`.
 fn is_off_course(now: &DAffine3, aimed: &DAffine3, then: &DAffine3) -> bool {
     let distance_m = |to: &DAffine3| (to.translation - now.translation).length();
     let turn = |to: &DAffine3| turn_between(now, to).length();

@@ -11,6 +11,7 @@
 //! | `pager::SceneSet` | the trait through which a pager sees the scenes of its group |
 
 mod blocking;
+mod cull_findings;
 mod early_look;
 mod loaded_root;
 mod look_ahead;

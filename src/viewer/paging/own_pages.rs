@@ -3,11 +3,11 @@
 //! The pager uploads only what it loads. Pages of the application are uploaded here, under running numbers that are
 //! never used again, so that a result that arrives after its page was removed is recognised and released.
 
-use crate::state::DataVariance;
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
 
 use crate::scene::{Drawable, Geometry, Mesh, Page, PageId, Scene};
+use crate::state::DataVariance;
 use crate::viewer::ViewerError;
 use crate::viewer::rendering::Rendering;
 
@@ -52,7 +52,7 @@ impl OwnPages {
         self.owner
     }
 
-    /// True while an upload is in flight.
+    /// Returns true while an upload is in flight.
     pub(super) fn is_uploading(&self) -> bool {
         !self.in_flight.is_empty()
     }
@@ -123,7 +123,7 @@ impl OwnPages {
         page.put_drawables(own.drawables);
     }
 
-    /// True when a page's drawables are on a device or will be. False only for pages that are not kept, on a device that
+    /// Returns true when a page's drawables are on a device or will be. False only for pages that are not kept, on a device that
     /// was opened after their upload.
     pub(super) fn is_on_or_bound_for(&self, page: PageId, device: u32) -> bool {
         self.numbers.get(&page).is_none_or(|number| self.in_flight.contains(&(device, *number)))
@@ -149,7 +149,7 @@ impl OwnPages {
 
 #[cfg(test)]
 impl OwnPages {
-    /// The number of kept pages and of upload numbers.
+    /// Returns the number of kept pages and of upload numbers.
     pub(super) fn counts(&self) -> (usize, usize) {
         (self.pages.len(), self.numbers.len())
     }

@@ -1,18 +1,18 @@
 //! [`PagedScene`]: a scene with its loaded tile set, the application's own pages and what the last culls lacked;
 //! osgViewer's Scene. Main thread.
 
-use crate::state::DataVariance;
 use std::collections::HashSet;
 use std::path::Path;
 use std::sync::Arc;
 
+use super::cull_findings::CullFindings;
 use super::loaded_root::LoadedRoot;
 use super::own_pages::OwnPages;
-use crate::cull::{CullCounters, PageRequest};
 use crate::formats::{OverlaySet, ReadOptions};
 use crate::math::{BoundingVolume, Ellipsoid};
 use crate::pager::{DatabasePager, ImagePager, ImagePagerConfig, ImageSequence, PagerConfig};
 use crate::scene::{DrawSlot, Page, PageId, ReaderData, Scene, UpdateInfo};
+use crate::state::DataVariance;
 use crate::viewer::ViewerError;
 use crate::viewer::clock::FrameStamp;
 use crate::viewer::ids::PagerId;
@@ -28,74 +28,6 @@ struct LoadedSet {
     uri: Arc<str>,
     /// A lower bound of its ground, metres above the ellipsoid.
     lowest_ground_m: f64,
-}
-
-/// The results of the last frame's culls of a scene, over all cameras that saw it.
-#[derive(Default)]
-pub(in crate::viewer) struct CullFindings {
-    /// Pages that the last frame lacked.
-    requests: Vec<PageRequest>,
-    /// Pages that cameras will need soon.
-    prefetches: Vec<PageRequest>,
-    /// Tiles that the last frame lacked.
-    wanted_missing: u32,
-    /// Tiles and Lods that the last frame showed between two levels of detail.
-    fading: u32,
-}
-
-impl CullFindings {
-    /// Forgets the last frame's requests; prefetches stay.
-    pub(in crate::viewer) fn begin_cull(&mut self) {
-        self.requests.clear();
-        self.wanted_missing = 0;
-    }
-
-    /// Forgets the last frame, fades included.
-    pub(in crate::viewer) fn begin_frame(&mut self) {
-        self.begin_cull();
-        self.fading = 0;
-    }
-
-    /// Adds what the cull of a camera found.
-    pub(in crate::viewer) fn add(&mut self, requests: &[PageRequest], counters: &CullCounters) {
-        self.requests.extend_from_slice(requests);
-        self.wanted_missing += counters.wanted_missing;
-        self.fading += counters.fading;
-    }
-
-    /// Adds what a cull of the blocking mode found. It advances no fade, so [`Self::is_fading`] stays as the frame's own
-    /// cull leaves it.
-    pub(in crate::viewer) fn add_blocking(&mut self, requests: &[PageRequest], counters: &CullCounters) {
-        self.requests.extend_from_slice(requests);
-        self.wanted_missing += counters.wanted_missing;
-    }
-
-    pub(in crate::viewer) fn requests(&self) -> &[PageRequest] {
-        &self.requests
-    }
-
-    pub(in crate::viewer) fn prefetches(&self) -> &[PageRequest] {
-        &self.prefetches
-    }
-
-    pub(in crate::viewer) fn clear_prefetches(&mut self) {
-        self.prefetches.clear();
-    }
-
-    pub(in crate::viewer) fn add_prefetches(&mut self, requests: &[PageRequest]) {
-        self.prefetches.extend_from_slice(requests);
-    }
-
-    /// Forgets all requests; counters stay until the next cull.
-    pub(in crate::viewer) fn clear_requests(&mut self) {
-        self.requests.clear();
-        self.prefetches.clear();
-    }
-
-    /// True while a transition between levels of detail is under way.
-    pub(in crate::viewer) fn is_fading(&self) -> bool {
-        self.fading > 0
-    }
 }
 
 /// A scene of a viewer.
@@ -174,17 +106,17 @@ impl PagedScene {
         unshared(&mut self.scene)
     }
 
-    /// The loaded tile set, unless its root was removed.
+    /// Returns the loaded tile set, unless its root was removed.
     fn loaded(&self) -> Option<&LoadedSet> {
         self.loaded.as_ref().filter(|loaded| self.scene.roots().contains(&loaded.root))
     }
 
-    /// The URI of the loaded tile set.
+    /// Returns the URI of the loaded tile set.
     pub(in crate::viewer) fn root_uri(&self) -> Option<&str> {
         self.loaded().map(|loaded| &*loaded.uri)
     }
 
-    /// An ellipsoid below all ground of the scene; it hides everything behind the horizon.
+    /// Returns an ellipsoid below all ground of the scene; it hides everything behind the horizon.
     pub(in crate::viewer) fn horizon(&self) -> Option<Ellipsoid> {
         let lowest_m = match &self.loaded {
             Some(loaded) if self.roots_with_tiles.is_empty() => loaded.lowest_ground_m,
@@ -299,7 +231,7 @@ impl PagedScene {
         LoadedRoot::read_for(source, &self.pager_config, rendering.block_formats())
     }
 
-    /// True when the tiles of the loaded set, or of the first root, are height tiles.
+    /// Returns true when the tiles of the loaded set, or of the first root, are height tiles.
     pub(in crate::viewer) fn is_height_set(&self) -> bool {
         let root = self.loaded().map(|loaded| loaded.root).or_else(|| self.scene.roots().first().copied());
         root.is_some_and(|root| {
@@ -309,12 +241,12 @@ impl PagedScene {
         })
     }
 
-    /// True when the last frame showed everything that was wanted, the application's pages included.
+    /// Returns true when the last frame showed everything that was wanted, the application's pages included.
     pub(in crate::viewer) fn is_complete(&self) -> bool {
-        self.findings.wanted_missing == 0 && !self.is_uploading()
+        self.findings.is_complete() && !self.is_uploading()
     }
 
-    /// True while pages of the application are being uploaded.
+    /// Returns true while pages of the application are being uploaded.
     pub(in crate::viewer) fn is_uploading(&self) -> bool {
         self.own.is_uploading()
     }
@@ -324,12 +256,12 @@ impl PagedScene {
         self.update_callbacks.push(callback);
     }
 
-    /// True when callbacks may change the scene in each frame.
+    /// Returns true when callbacks may change the scene in each frame.
     pub(in crate::viewer) fn has_update_callbacks(&self) -> bool {
         !self.update_callbacks.is_empty() || self.scene.has_update_callbacks()
     }
 
-    /// The application's part of the update phase: its callbacks, then those of the nodes.
+    /// Runs the application's part of the update phase: its callbacks, then those of the nodes.
     pub(in crate::viewer) fn update(&mut self, stamp: &FrameStamp) {
         for callback in &mut self.update_callbacks {
             callback(unshared(&mut self.scene), stamp);

@@ -146,13 +146,13 @@ impl PagerGroup {
         self.pager = Some(pager);
     }
 
-    /// True when the last frame showed everything that it wanted of these scenes, the application's pages included, and
+    /// Returns true when the last frame showed everything that it wanted of these scenes, the application's pages included, and
     /// the pager is idle.
     pub(in crate::viewer) fn is_settled(&self, scenes: &SceneList) -> bool {
         self.is_idle && self.member_scenes(scenes).all(PagedScene::is_complete)
     }
 
-    /// True when the last frame showed everything and the next frames will look the same.
+    /// Returns true when the last frame showed everything and the next frames will look the same.
     pub(in crate::viewer) fn is_at_rest(&self, scenes: &SceneList) -> bool {
         let view = MembersView { scenes, ids: &self.members };
         let has_asked = self.pager.as_ref().is_some_and(|pager| pager.has_asked(&view));
@@ -160,7 +160,7 @@ impl PagerGroup {
         !has_asked && !is_fading && self.is_settled(scenes)
     }
 
-    /// True when the next frames will look like the last one: everything is resident, or what is missing cannot be loaded
+    /// Returns true when the next frames will look like the last one: everything is resident, or what is missing cannot be loaded
     /// now, for lack of memory or because the pager is paused.
     pub(in crate::viewer) fn is_unchanging(&self, scenes: &SceneList) -> bool {
         let is_steady = |scene: &PagedScene| !scene.findings().is_fading() && !scene.is_uploading();
@@ -168,26 +168,26 @@ impl PagerGroup {
         self.is_at_rest(scenes) || is_stuck()
     }
 
-    /// True when the pager had nothing to do for `quiet` frames, or rounds of the blocking mode, and these are enough to
+    /// Returns true when the pager had nothing to do for `quiet` frames, or rounds of the blocking mode, and these are enough to
     /// know that it declines the remaining requests.
     pub(in crate::viewer) fn is_stuck(&self, scenes: &SceneList, quiet: u32) -> bool {
         let scan_frames = self.pager.as_ref().map_or(0, DatabasePager::frames_to_look);
         quiet >= QUIET_FRAMES + scan_frames && !self.has_work(scenes)
     }
 
-    /// True when the pager's next turn would act on the last frame's requests.
+    /// Returns true when the pager's next turn would act on the last frame's requests.
     pub(in crate::viewer) fn has_work(&self, scenes: &SceneList) -> bool {
         let Some(pager) = &self.pager else { return false };
         let view = MembersView { scenes, ids: &self.members };
         pager.has_work(&view, self.member_scenes(scenes).flat_map(|scene| scene.findings().requests()))
     }
 
-    /// True when the back-off of a failed request is over.
+    /// Returns true when the back-off of a failed request is over.
     pub(in crate::viewer) fn has_due(&self) -> bool {
         self.pager.as_ref().is_some_and(DatabasePager::has_due)
     }
 
-    /// The pager's turn in update: merges, expires, uploads and requests. Returns its milliseconds.
+    /// Runs the pager's turn in update: it merges, expires, uploads and requests. Returns its milliseconds.
     pub(in crate::viewer) fn page(
         &mut self,
         scenes: &mut SceneList,
@@ -238,7 +238,7 @@ impl PagerGroup {
         self.quiet_frames = if is_quiet { self.quiet_frames.saturating_add(1) } else { 0 };
     }
 
-    /// True when tiles were merged that no cull has seen. The blocking mode culls in rounds anyway.
+    /// Returns true when tiles were merged that no cull has seen. The blocking mode culls in rounds anyway.
     pub(in crate::viewer) fn has_new_tiles(&self) -> bool {
         !self.blocking && self.pager.as_ref().is_some_and(DatabasePager::has_new_tiles)
     }
@@ -260,7 +260,7 @@ impl PagerGroup {
         }
     }
 
-    /// True when pages may arrive and be merged while the main thread waits.
+    /// Returns true when pages may arrive and be merged while the main thread waits.
     pub(in crate::viewer) fn is_paging(&self) -> bool {
         !self.blocking && self.pager.as_ref().is_some_and(|pager| !pager.is_idle())
     }
@@ -305,9 +305,14 @@ impl PagerGroup {
         }
     }
 
+    /// Notes that pages are removed, which the next frames will want.
+    fn note_removal(&mut self) {
+        (self.is_idle, self.quiet_frames) = (false, 0);
+    }
+
     /// Removes every page that the pager merged into a scene, and forgets its requests.
     pub(super) fn clear_pages(&mut self, scenes: &mut SceneList, scene: SceneId, rendering: &mut Rendering) {
-        (self.is_idle, self.quiet_frames) = (false, 0);
+        self.note_removal();
         let scene = &mut scenes[scene];
         scene.findings_mut().clear_requests();
         if let Some(pager) = &mut self.pager {
@@ -323,7 +328,7 @@ impl PagerGroup {
         overlays: Option<Arc<OverlaySet>>,
         rendering: &mut Rendering,
     ) {
-        (self.is_idle, self.quiet_frames) = (false, 0);
+        self.note_removal();
         let scene = &mut scenes[scene];
         scene.set_overlays(overlays.clone());
         scene.findings_mut().clear_requests();
@@ -336,7 +341,7 @@ impl PagerGroup {
     pub(super) fn remove_scene(&mut self, scenes: &mut SceneList, scene: SceneId, rendering: &mut Rendering) -> bool {
         if let Some(index) = self.members.iter().position(|of| *of == scene) {
             self.members.remove(index);
-            (self.is_idle, self.quiet_frames) = (false, 0);
+            self.note_removal();
             if let Some(pager) = &mut self.pager {
                 let scene = scenes[scene].scene_mut();
                 rendering.compile_for(self.owner, |contexts| pager.remove_scene(scene, contexts));
@@ -347,7 +352,7 @@ impl PagerGroup {
 
     /// Removes every merged page that can be loaded again, so that a new device gets all of them.
     pub(super) fn page_anew(&mut self, scenes: &mut SceneList, rendering: &mut Rendering) {
-        (self.is_idle, self.quiet_frames) = (false, 0);
+        self.note_removal();
         let Some(pager) = &mut self.pager else { return };
         for id in &self.members {
             let scene = scenes[*id].scene_mut();

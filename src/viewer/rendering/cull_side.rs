@@ -199,7 +199,7 @@ impl CullSide {
     }
 }
 
-/// True when callbacks of the stage, or of its pre- and post-render stages, read data that update overwrites.
+/// Returns true when callbacks of the stage, or of its pre- and post-render stages, read data that update overwrites.
 fn has_dynamic_callbacks(stage: &RenderStage) -> bool {
     CameraCallbacks::variance_of(&stage.target.callbacks) == DataVariance::Dynamic
         || BinCallback::are_dynamic(stage)

@@ -131,12 +131,12 @@ impl DeviceHandle {
         }
     }
 
-    /// The number of the device, which is never used again; draw slots of pages are kept under it.
+    /// Returns the number of the device, which is never used again; draw slots of pages are kept under it.
     pub(in crate::viewer) fn number(&self) -> u32 {
         self.id
     }
 
-    /// The numbers of its contexts, in the order drawn.
+    /// Returns the numbers of its contexts, in the order drawn.
     pub(super) fn context_ids(&self) -> impl Iterator<Item = u32> {
         self.contexts.iter().map(|context| context.id)
     }
@@ -154,7 +154,7 @@ impl DeviceHandle {
         }
     }
 
-    /// The size of a context's target after all commands; `None` when the context is another device's.
+    /// Returns the size of a context's target after all commands; `None` when the context is another device's.
     pub(super) fn size_px(&self, context: u32) -> Option<[u32; 2]> {
         self.contexts.iter().find(|c| c.id == context).map(|c| c.size_px)
     }
@@ -186,7 +186,7 @@ impl DeviceHandle {
         &self.compile_operations
     }
 
-    /// True while operations of the application wait.
+    /// Returns true while operations of the application wait.
     pub(super) fn has_operations(&self) -> bool {
         !self.compile_operations.is_empty() || self.contexts.iter().any(|context| !context.operations.is_empty())
     }
@@ -203,12 +203,12 @@ impl DeviceHandle {
         true
     }
 
-    /// True when all its contexts have drawn a frame.
+    /// Returns true when all its contexts have drawn a frame.
     pub(super) fn is_done(&self, frame: u32) -> bool {
         self.contexts.iter().all(|context| context.done_frame >= frame)
     }
 
-    /// The name of the adapter.
+    /// Returns the name of the adapter.
     pub(super) fn adapter_name(&self) -> &str {
         &self.adapter_name
     }
@@ -228,7 +228,7 @@ impl DeviceHandle {
         self.is_host_device
     }
 
-    /// The number of frames in flight.
+    /// Returns the number of frames in flight.
     pub(in crate::viewer) fn in_flight(&self) -> usize {
         self.in_flight.div_ceil(self.contexts.len().max(1))
     }
@@ -366,42 +366,38 @@ impl DeviceHandle {
     /// Creates the pipelines for kinds of drawables before the frames that draw them.
     pub(in crate::viewer) fn prewarm(&mut self, kinds: &Arc<[DrawKind]>) {
         if !kinds.is_empty() {
-            // An error of the draw thread is reported by the next frame.
-            let _ = self.send(DrawCommand::Prewarm(kinds.clone()));
+            self.tell(DrawCommand::Prewarm(kinds.clone()));
         }
     }
 
     /// Creates the pipelines for kinds of drawables at once.
     pub(in crate::viewer) fn prewarm_now(&mut self, kinds: &Arc<[DrawKind]>) {
-        let _ = self.send(DrawCommand::PrewarmNow(kinds.clone()));
+        self.tell(DrawCommand::PrewarmNow(kinds.clone()));
     }
 
     /// Creates the pipelines for a change of views, after the frames that were sent before.
     pub(in crate::viewer) fn prewarm_change(&mut self, change: &ViewChange) {
-        let _ = self.send(DrawCommand::PrewarmChange(Box::new(*change)));
+        self.tell(DrawCommand::PrewarmChange(Box::new(*change)));
     }
 
     /// Uploads drawables for a pager.
     pub(super) fn compile(&mut self, owner: u16, operation: CompileOperation) {
         let ticket = UploadOwner::Pager(owner).mark(operation.ticket);
         self.compiling += 1;
-        // An error of the draw thread is reported by the next frame.
-        let _ = self.send(DrawCommand::Compile(CompileOperation { ticket, ..operation }));
+        self.tell(DrawCommand::Compile(CompileOperation { ticket, ..operation }));
     }
 
     /// Cancels uploads of a pager that have not begun. They are answered all the same.
     pub(super) fn cancel_compiles(&mut self, owner: u16, tickets: &[u64]) {
         let tickets = tickets.iter().map(|ticket| UploadOwner::Pager(owner).mark(*ticket)).collect();
-        // An error of the draw thread is reported by the next frame.
-        let _ = self.send(DrawCommand::CancelCompiles(tickets));
+        self.tell(DrawCommand::CancelCompiles(tickets));
     }
 
     /// Uploads between two frames. A draw thread first draws the frames that were sent before.
     pub(super) fn run_compiles(&mut self, budget: &CompileBudget) {
         if self.compiling > 0 && !self.running_compiles.swap(true, Ordering::AcqRel) {
             let budget = CompileBudget { time: budget.time.min(MAX_UPLOAD_SLICE), ..*budget };
-            // An error of the draw thread is reported by the next frame.
-            let _ = self.send(DrawCommand::RunCompiles(budget));
+            self.tell(DrawCommand::RunCompiles(budget));
         }
     }
 
@@ -433,20 +429,18 @@ impl DeviceHandle {
     /// Frees slots after the last frame that draws them.
     pub(super) fn release(&mut self, slots: Vec<DrawSlot>) {
         if !slots.is_empty() {
-            // An error of the draw thread is reported by the next frame.
-            let _ = self.send(DrawCommand::Release(slots));
+            self.tell(DrawCommand::Release(slots));
         }
     }
 
     /// Keeps slots that are released for some frames.
     pub(in crate::viewer) fn retain_released(&mut self, frames: u32) {
-        // An error of the draw thread is reported by the next frame.
-        let _ = self.send(DrawCommand::RetainReleased { frames });
+        self.tell(DrawCommand::RetainReleased { frames });
     }
 
     /// Frees all released slots at once.
     pub(in crate::viewer) fn flush_released(&mut self) {
-        let _ = self.send(DrawCommand::FlushReleased);
+        self.tell(DrawCommand::FlushReleased);
     }
 
     /// Replaces the mesh of a drawable from the next frame on.
@@ -535,6 +529,11 @@ impl DeviceHandle {
         }
     }
 
+    /// Sends a command whose failure the next frame reports: then the draw thread has ended.
+    fn tell(&mut self, command: DrawCommand) {
+        let _ = self.send(command);
+    }
+
     fn send(&mut self, command: DrawCommand) -> Result<(), ViewerError> {
         let sent = match &mut self.side {
             Side::Here(side) => {
@@ -570,8 +569,7 @@ impl CompileContext for DeviceOfScene<'_> {
     }
 
     fn set_max_bytes(&mut self, max_bytes: u64) {
-        // An error of the draw thread is reported by the next frame.
-        let _ = self.handle.send(DrawCommand::SetMaxBytes { owner: self.owner, max_bytes });
+        self.handle.tell(DrawCommand::SetMaxBytes { owner: self.owner, max_bytes });
     }
 
     fn compile(&mut self, operation: CompileOperation) {

@@ -170,7 +170,7 @@ impl DrawSide {
         }
     }
 
-    /// True when all jobs of the next frame have arrived.
+    /// Returns true when all jobs of the next frame have arrived.
     fn has_frame(&self) -> bool {
         self.jobs.len() >= self.contexts.len() || self.jobs.iter().any(|job| job.stage.is_some())
     }
@@ -205,89 +205,91 @@ impl DrawSide {
     }
 
     pub(super) fn execute(&mut self, command: DrawCommand) {
-        let reply = match command {
-            DrawCommand::Prewarm(kinds) => {
-                let stages = self.renderer.stage_kinds(&self.context);
-                if !self.is_blocking {
-                    // In creation while the uploads before are under way.
-                    self.renderer.order_prewarm(&mut self.context, &kinds, &stages);
-                }
-                self.uploads.push(Upload::Pipelines((kinds, stages)));
-                return self.begin_uploads();
-            }
+        match command {
+            DrawCommand::Prewarm(kinds) => self.prewarm_uploads(kinds),
             DrawCommand::PrewarmNow(kinds) => {
                 self.renderer.prewarm(&mut self.context, &kinds);
-                return;
             }
+            DrawCommand::PrewarmChange(change) => self.renderer.prewarm_change(&mut self.context, &change),
+            DrawCommand::SetMaxBytes { owner, max_bytes } => self.context.set_max_bytes(owner, max_bytes),
             DrawCommand::Compile(operation) => {
                 self.uploads.push(Upload::Compile(operation));
-                return self.begin_uploads();
+                self.begin_uploads();
             }
-            DrawCommand::PrewarmChange(change) => return self.renderer.prewarm_change(&mut self.context, &change),
-            DrawCommand::SetMaxBytes { owner, max_bytes } => return self.context.set_max_bytes(owner, max_bytes),
-            DrawCommand::CancelCompiles(tickets) => return self.cancel_compiles(&tickets),
+            DrawCommand::CancelCompiles(tickets) => self.cancel_compiles(&tickets),
             DrawCommand::Rewrite { slot, mesh } => {
                 if let Err(error) = self.context.rewrite(slot, &mesh) {
                     self.renderer.report_once(error.to_string());
                 }
-                return;
             }
             DrawCommand::Show(change) => {
                 // After a skipped frame an older image of the texture may still be queued.
                 self.images.retain(|earlier| !Arc::ptr_eq(&earlier.texture, &change.texture));
-                return self.images.push(change);
+                self.images.push(change);
             }
             DrawCommand::Release(slots) => {
                 if let Some(slots) = self.retained.retain(slots) {
                     self.context.release(&slots);
                 }
-                return;
             }
-            DrawCommand::RetainReleased { frames } => return self.retained.set_frames(frames),
-            DrawCommand::FlushReleased => return self.flush_released(),
+            DrawCommand::RetainReleased { frames } => self.retained.set_frames(frames),
+            DrawCommand::FlushReleased => self.flush_released(),
             DrawCommand::RunCompiles(budget) => {
                 self.begin_uploads();
                 self.context.run_compiles(&budget);
                 self.pass_on_compiled();
-                return self.running_compiles.store(false, Ordering::Release);
+                self.running_compiles.store(false, Ordering::Release);
             }
             DrawCommand::FinishCompiles { waits_for_memory } => {
-                Reply::CompilesFinished { all: self.finish_compiles(waits_for_memory) }
+                let all = self.finish_compiles(waits_for_memory);
+                self.reply(Reply::CompilesFinished { all });
             }
-            DrawCommand::Frame(job) => return self.jobs.push(*job),
+            DrawCommand::Frame(job) => self.jobs.push(*job),
             DrawCommand::Resize { context, size_px } => {
                 if let Some(index) = self.select(context) {
                     self.contexts[index].failed = self.context.resize(size_px).err();
                 }
-                return;
             }
             DrawCommand::SetVsync { context, vsync } => {
                 if self.select(context).is_some() {
                     self.context.set_vsync(vsync);
                 }
-                return;
+            }
+            DrawCommand::ReadBack { context } => {
+                self.select(context);
+                let image = self.renderer.read_back(&mut self.context);
+                self.reply(Reply::Image(image));
+            }
+            DrawCommand::ColorView { context } => {
+                self.select(context);
+                self.reply(Reply::ColorView(self.context.color_view().cloned()));
             }
             #[cfg(feature = "testing")]
-            DrawCommand::LoseDevice => return self.context.lose_device(),
+            DrawCommand::LoseDevice => self.context.lose_device(),
             #[cfg(feature = "testing")]
             DrawCommand::PretendSurface { context, answers } => {
                 if self.select(context).is_some() {
                     self.context.pretend_surface(&answers);
                 }
-                return;
             }
-            DrawCommand::ReadBack { context } => {
-                self.select(context);
-                Reply::Image(self.renderer.read_back(&mut self.context))
-            }
-            DrawCommand::ColorView { context } => {
-                self.select(context);
-                Reply::ColorView(self.context.color_view().cloned())
-            }
-            DrawCommand::Wake => return,
-        };
+            DrawCommand::Wake => {}
+        }
+    }
+
+    fn reply(&self, reply: Reply) {
         // Fails only while the viewer is dropped.
         let _ = self.replies.send(reply);
+    }
+
+    /// Has the pipelines of uploads created that follow. The uploads wait for them.
+    fn prewarm_uploads(&mut self, kinds: Arc<[DrawKind]>) {
+        let stages = self.renderer.stage_kinds(&self.context);
+        if !self.is_blocking {
+            // In creation while the uploads before are under way.
+            self.renderer.order_prewarm(&mut self.context, &kinds, &stages);
+        }
+        self.uploads.push(Upload::Pipelines((kinds, stages)));
+        self.begin_uploads();
     }
 
     /// Frees all released slots at once, also those that are retained for some frames.
@@ -342,8 +344,8 @@ impl DrawSide {
         Ok(true)
     }
 
-    /// Passes uploads on to the upload queue, until one needs pipelines that the pipeline thread is still creating: no draw has to
-    /// create them.
+    /// Passes uploads on to the upload queue, until one needs pipelines that the pipeline thread is still creating: no draw has
+    /// to create them.
     fn begin_uploads(&mut self) {
         while let Some(upload) = self.uploads.pop() {
             match upload {
@@ -532,7 +534,7 @@ impl DrawSide {
             if present && self.select(done.context).is_some() {
                 self.context.present();
             }
-            let _ = self.replies.send(Reply::Frame(done));
+            self.reply(Reply::Frame(done));
         }
         self.drawn = drawn;
     }

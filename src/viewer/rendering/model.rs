@@ -7,8 +7,8 @@ pub const THREADING_VARIABLE: &str = "TERRANE_THREADING";
 
 /// The threads that cull and draw; OSG's four models.
 ///
-/// The diagrams show two contexts with one camera each; `=` is a barrier of all threads that it crosses, `#` the end of dynamic draws
-/// (see [`DataVariance`](crate::state::DataVariance)), `s` the swap-ready barrier of the contexts' threads, `p` present.
+/// The diagrams show two contexts with one camera each; `=` is a barrier of all threads that it crosses, `#` the end of dynamic
+/// draws (see [`DataVariance`](crate::state::DataVariance)), `s` the swap-ready barrier of the contexts' threads, `p` present.
 ///
 /// ```text
 /// SingleThreaded

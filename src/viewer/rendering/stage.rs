@@ -116,12 +116,12 @@ impl Rendering {
         self.devices.iter_mut()
     }
 
-    /// The numbers of the devices; a device has the number of its first context.
+    /// Returns the numbers of the devices; a device has the number of its first context.
     pub(in crate::viewer) fn device_ids(&self) -> impl Iterator<Item = u32> {
         self.devices.iter().map(DeviceHandle::number)
     }
 
-    /// The numbers of the contexts, by the screens of their windows and the positions there, then in the order opened.
+    /// Returns the numbers of the contexts, by the screens of their windows and the positions there, then in the order opened.
     pub(in crate::viewer) fn context_ids(&self) -> impl Iterator<Item = u32> + use<> {
         let mut places: Vec<_> = self.devices.iter().flat_map(DeviceHandle::places).collect();
         places.sort_unstable();
@@ -151,7 +151,7 @@ impl Rendering {
         self.devices.first().map_or("", DeviceHandle::adapter_name)
     }
 
-    /// The families of compressed texture formats that all devices sample.
+    /// Returns the families of compressed texture formats that all devices sample.
     pub(in crate::viewer) fn block_formats(&self) -> BlockFormats {
         self.devices.iter().map(DeviceHandle::block_formats).reduce(BlockFormats::intersection).unwrap_or_default()
     }
@@ -161,12 +161,12 @@ impl Rendering {
         self.devices.first().is_some_and(DeviceHandle::is_software)
     }
 
-    /// The number of frames in flight on the device of an index; 0 without such a device.
+    /// Returns the number of frames in flight on the device of an index; 0 without such a device.
     pub(in crate::viewer) fn in_flight(&self, index: usize) -> usize {
         self.devices.get(index).map_or(0, DeviceHandle::in_flight)
     }
 
-    /// True when all contexts have drawn a frame.
+    /// Returns true when all contexts have drawn a frame.
     pub(in crate::viewer) fn all_done(&self, frame: u32) -> bool {
         self.devices.iter().all(|d| d.is_done(frame))
     }
@@ -455,7 +455,7 @@ impl Rendering {
         result
     }
 
-    /// The results of the last frame's culls, by number of the camera.
+    /// Returns the results of the last frame's culls, by number of the camera.
     pub(in crate::viewer) fn outcomes(&self) -> impl Iterator<Item = (u32, &CullOutcome)> {
         self.cameras.iter().map(|c| (c.number, &c.outcome))
     }

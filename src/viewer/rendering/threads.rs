@@ -18,7 +18,7 @@ fn overlaps(model: ThreadingModel) -> bool {
 }
 
 impl Rendering {
-    /// The model that runs, or would run.
+    /// Returns the model that runs, or would run.
     pub(in crate::viewer) fn model(&self) -> ThreadingModel {
         match &self.running {
             Some(running) => running.model,
@@ -53,19 +53,20 @@ impl Rendering {
         }
     }
 
-    /// True while the threads of the model run, if it has any.
+    /// Returns true while the threads of the model run, if it has any.
     pub(in crate::viewer) fn is_running(&self) -> bool {
         self.running.is_some()
     }
 
-    /// The core for the pagers' threads: in the single-threaded model, where the main thread has the first core to itself.
+    /// Returns the core for the pagers' threads: in the single-threaded model, where the main thread has the first core to
+    /// itself.
     pub(in crate::viewer) fn pager_core(&self) -> Option<usize> {
         let is_single = self.model() == ThreadingModel::SingleThreaded;
         let cores = (self.pins_threads && is_single).then(cores::single_threaded).flatten();
         cores.map(|[_, pagers]| pagers.id)
     }
 
-    /// True when update may run in parallel with draw.
+    /// Returns true when update may run in parallel with draw.
     pub(in crate::viewer) fn overlaps(&self) -> bool {
         overlaps(self.model())
     }

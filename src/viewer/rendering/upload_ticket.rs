@@ -32,7 +32,7 @@ impl UploadOwner {
         self.bits() | (ticket & OWN_TICKET_MASK)
     }
 
-    /// True when the owner has marked a ticket.
+    /// Returns true when the owner has marked a ticket.
     pub(super) fn owns(self, marked: u64) -> bool {
         marked & !OWN_TICKET_MASK == self.bits()
     }

@@ -29,23 +29,23 @@ impl Rendering {
         }
     }
 
-    /// The operations of a context.
+    /// Returns the operations of a context.
     pub(in crate::viewer) fn context_operations(&self, context: u32) -> Option<&Arc<OperationQueue<GraphicsContext>>> {
         self.devices.iter().find_map(|device| device.context_operations(context))
     }
 
-    /// The operations of a camera.
+    /// Returns the operations of a camera.
     pub(in crate::viewer) fn camera_operations(&self, camera: u32) -> Option<&Arc<OperationQueue<CullVisitor>>> {
         self.cameras.iter().find(|c| c.number == camera).map(|c| &c.operations)
     }
 
-    /// The operations on the compile thread of a context's device.
+    /// Returns the operations on the compile thread of a context's device.
     pub(in crate::viewer) fn compile_operations(&self, context: u32) -> Option<&Arc<OperationQueue<wgpu::Device>>> {
         let device = self.devices.iter().find(|device| device.size_px(context).is_some());
         device.map(|device| device.compile_operations())
     }
 
-    /// True while an operation of a context, a camera or a compile thread waits for a frame.
+    /// Returns true while an operation of a context, a camera or a compile thread waits for a frame.
     pub(in crate::viewer) fn has_operations(&self) -> bool {
         self.devices.iter().any(|device| device.has_operations())
             || self.cameras.iter().any(|camera| !camera.operations.is_empty())

@@ -1,4 +1,4 @@
-//! The report's JSON schema. It is stable: fields are only ever added.
+//! The report's JSON schema. It is stable: fields are only ever added. Plain values.
 //!
 //! Times are milliseconds unless the name says otherwise.
 

@@ -78,7 +78,7 @@ impl Default for SphericalDisplay {
     }
 }
 
-/// The transforms from the master camera's eye space to those of the faces: ahead, right, back, left, up, down.
+/// Returns the transforms from the master camera's eye space to those of the faces: ahead, right, back, left, up, down.
 fn view_offsets() -> [DAffine3; FACES] {
     [
         DAffine3::IDENTITY,

@@ -34,7 +34,7 @@ impl Probe {
         self.stage.requests.clear();
     }
 
-    /// The stage of the last cull.
+    /// Returns the stage of the last cull.
     pub(in crate::viewer) fn stage(&self) -> &RenderStage {
         &self.stage
     }

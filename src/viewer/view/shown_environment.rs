@@ -51,8 +51,8 @@ impl ShownEnvironment {
         self.is_asked = true;
     }
 
-    /// Begins a frame, which may leave out what lacks a pipeline. `own_merged` changes when a page of the application has received
-    /// its upload.
+    /// Begins a frame, which may leave out what lacks a pipeline. `own_merged` changes when a page of the application has
+    /// received its upload.
     pub(in crate::viewer) fn begin_frame(&mut self, frame: u32, hides_unready: bool, own_merged: u32) {
         let has_new = std::mem::replace(&mut self.own_merged, own_merged) != own_merged;
         if (std::mem::take(&mut self.is_asked) || has_new) && hides_unready {
@@ -67,8 +67,8 @@ impl ShownEnvironment {
         self.asked = self.asked.filter(|asked| *asked > frame);
     }
 
-    /// Takes the application's environment for the next frame. If `waits`, a change that needs other pipelines waits for them; until
-    /// then the view is drawn with the whole previous environment.
+    /// Takes the application's environment for the next frame. If `waits`, a change that needs other pipelines waits for them;
+    /// until then the view is drawn with the whole previous environment.
     pub(in crate::viewer) fn follow(&mut self, set: &Environment, waits: bool) {
         let shown = self.shown.get_or_insert(*set);
         if !waits || draws_alike(shown, set) {

@@ -41,7 +41,7 @@ impl Slave {
         }
     }
 
-    /// The projection offset, or the identity when it is not finite.
+    /// Returns the projection offset, or the identity when it is not finite.
     pub(super) fn finite_projection_offset(&self) -> DMat4 {
         if self.projection_offset.is_finite() { self.projection_offset } else { DMat4::IDENTITY }
     }
@@ -73,7 +73,7 @@ pub(in crate::viewer) struct CameraSlot {
 }
 
 impl CameraSlot {
-    /// The part of the target as x, y, width and height in pixels; `None` is all of it.
+    /// Returns the part of the target as x, y, width and height in pixels; `None` is all of it.
     pub(in crate::viewer) fn part_px(&self) -> Option<[u32; 4]> {
         self.viewport.part_px(self.context_px)
     }

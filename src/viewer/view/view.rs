@@ -1,6 +1,5 @@
 //! [`View`]: a master camera on a scene, its light, its input and its slave cameras. Main thread.
 
-use crate::state::OpaqueDrawData;
 use glam::{DAffine3, DMat4};
 
 use super::eyes::{EyeTargets, Eyes};
@@ -11,6 +10,7 @@ use super::viewport::ViewArea;
 use crate::cull::{CullCamera, PageRequest, Stereo};
 use crate::draw::CameraCallbacks;
 use crate::scene::{ClampProjection, CullSettings, Environment};
+use crate::state::OpaqueDrawData;
 use crate::viewer::AnimationPath;
 use crate::viewer::camera::Camera;
 use crate::viewer::clock::ReferenceClock;
@@ -79,7 +79,7 @@ impl View {
         }
     }
 
-    /// The scene that the view shows.
+    /// Returns the scene that the view shows.
     pub(in crate::viewer) fn scene(&self) -> SceneId {
         self.scene
     }
@@ -130,7 +130,7 @@ impl View {
         self.request_redraw();
     }
 
-    /// The slaves in the order added.
+    /// Returns the slaves in the order added.
     pub fn slaves(&self) -> impl Iterator<Item = (SlaveId, &Slave)> {
         self.slaves.iter().map(|of| (of.id, &of.slave))
     }
@@ -174,7 +174,7 @@ impl View {
         self.slaves.len() < before
     }
 
-    /// The numbers of its cameras, the master's first.
+    /// Returns the numbers of its cameras, the master's first.
     pub(in crate::viewer) fn cameras(&self) -> impl Iterator<Item = u32> {
         self.master.iter().map(|slot| slot.camera).chain(self.slaves.iter().map(|of| of.id.0))
     }
@@ -190,7 +190,7 @@ impl View {
         self.shown.forget_rehearsal();
     }
 
-    /// The contexts of its cameras.
+    /// Returns the contexts of its cameras.
     pub(in crate::viewer) fn contexts(&self) -> impl Iterator<Item = ContextId> {
         self.context().into_iter().chain(self.slaves.iter().map(|of| of.slave.context))
     }
@@ -256,7 +256,7 @@ impl View {
         self.request_redraw();
     }
 
-    /// The announced pose of the master camera, `seconds` of wall time after a simulation time that passes at `rate`;
+    /// Returns the announced pose of the master camera, `seconds` of wall time after a simulation time that passes at `rate`;
     /// `None` when nothing was announced.
     pub(in crate::viewer) fn pose_after(&self, simulation_time_s: f64, rate: f64, seconds: f64) -> Option<DAffine3> {
         match &self.announced {

@@ -90,7 +90,7 @@ fn feed_queue(queue: &mut EventQueue, event: &WindowEvent, position_px: DVec2) -
     true
 }
 
-/// True for presses: a button or a finger that goes down, the wheel.
+/// Returns true for presses: a button or a finger that goes down, the wheel.
 pub fn is_press(event: &WindowEvent) -> bool {
     match event {
         WindowEvent::MouseInput { state, .. } => state.is_pressed(),

@@ -4,13 +4,12 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use glam::DVec2;
 use winit::application::ApplicationHandler;
-use winit::event::{ElementState, StartCause, TouchPhase, WindowEvent};
+use winit::event::{StartCause, WindowEvent};
 use winit::event_loop::{ActiveEventLoop, ControlFlow};
-use winit::keyboard::PhysicalKey;
 use winit::window::{Window, WindowId};
 
+use super::input_routes::InputRoutes;
 use super::overlay_input::OverlayInput;
 use super::pacing::Pacing;
 use super::{events as window_events, open as window_open};
@@ -20,13 +19,13 @@ use crate::viewer::arranged_views::ArrangedViews;
 use crate::viewer::composite::CompositeViewer;
 use crate::viewer::config::{Arrangement, Screen, ViewsSetup};
 use crate::viewer::display;
-
 use crate::viewer::frame::ViewerConfig;
 use crate::viewer::handlers::{self, StatsPage};
 use crate::viewer::ids::{ContextId, ViewId};
 use crate::viewer::input::WindowCommand;
 use crate::viewer::manipulators::{self, SceneGround};
 use crate::viewer::paging::LoadedRoot;
+use crate::viewer::view::View;
 
 /// A callback that runs once, after windows and views were created.
 pub type OnViewsOpen = Box<dyn FnOnce(&mut ArrangedViews) -> Result<(), ViewerError>>;
@@ -108,31 +107,27 @@ struct App {
     error: Option<ViewerError>,
 }
 
-/// A window, and the state of the input devices in it.
+/// A window and the input to its views.
 struct OpenWindow {
     window: Arc<Window>,
     context: ContextId,
-    pointer_px: DVec2,
-    /// The view that gets the pointer while buttons are pressed, and the number of pressed buttons.
-    grabbed: Option<(ViewId, u32)>,
-    /// The touching fingers, with the views in which they were put down.
-    fingers: Vec<(u64, ViewId)>,
-    /// The pressed keys, with the views in which they were pressed.
-    keys: Vec<(PhysicalKey, ViewId)>,
+    routes: InputRoutes,
     /// The overlay input of its views.
     overlays: Vec<(ViewId, OverlayInput)>,
 }
 
 impl OpenWindow {
     fn new(window: Arc<Window>, context: ContextId) -> Self {
-        Self {
-            window,
-            context,
-            pointer_px: DVec2::ZERO,
-            grabbed: None,
-            fingers: Vec::new(),
-            keys: Vec::new(),
-            overlays: Vec::new(),
+        Self { window, context, routes: InputRoutes::default(), overlays: Vec::new() }
+    }
+
+    /// Gives an event to a view of the window, and to its overlay, which lies over the image of its master camera.
+    fn feed(&mut self, id: ViewId, view: &mut View, event: &WindowEvent) {
+        let has_overlay = view.context() == Some(self.context);
+        let is_taken = has_overlay && overlay_of(&mut self.overlays, id).feed(view, &self.window, event);
+        // Presses that the overlay takes do not reach the view. Releases always do, since the press may have been there.
+        if !(is_taken && window_events::is_press(event)) {
+            window_events::feed(view, self.context, event);
         }
     }
 }
@@ -289,7 +284,7 @@ impl Open {
         }
     }
 
-    /// True when a camera of some view is in a window.
+    /// Returns true when a camera of some view is in a window.
     fn has_view(&self, place: usize) -> bool {
         let context = self.windows[place].context;
         self.viewer.views().any(|(_, view)| view.contexts().any(|of| of == context))
@@ -305,12 +300,10 @@ impl Open {
             self.viewer.remove_view(view)?;
         }
         // Removed views get no more events.
-        let is_there = |view: &ViewId, viewer: &CompositeViewer| viewer.views().any(|(id, _)| id == *view);
+        let is_there = |view: ViewId| self.viewer.views().any(|(id, _)| id == view);
         for window in &mut self.windows {
-            window.grabbed = window.grabbed.filter(|(view, _)| is_there(view, &self.viewer));
-            window.fingers.retain(|(_, view)| is_there(view, &self.viewer));
-            window.keys.retain(|(_, view)| is_there(view, &self.viewer));
-            window.overlays.retain(|(view, _)| is_there(view, &self.viewer));
+            window.routes.retain(is_there);
+            window.overlays.retain(|(view, _)| is_there(*view));
         }
         self.request_redraw();
         Ok(())
@@ -341,70 +334,23 @@ impl Open {
     fn feed(&mut self, place: usize, event: &WindowEvent) -> Result<(), ViewerError> {
         let Open { viewer, windows, .. } = self;
         let window = &mut windows[place];
-        let here = || viewer.views().filter(|(_, view)| view.contexts().any(|of| of == window.context));
-        let at = |position_px: DVec2| viewer.view_at(window.context, position_px).map(|(view, _)| view);
-        // With the pointer outside of all views, keys go to the first view of the window.
-        let first_here = || here().next().map(|(id, _)| id);
-        let for_view = match event {
+        let context = window.context;
+        let here = || viewer.views().filter(|(_, view)| view.contexts().any(|of| of == context)).map(|(id, _)| id);
+        let ids: Vec<ViewId> = match event {
             WindowEvent::CloseRequested | WindowEvent::Focused(_) | WindowEvent::ModifiersChanged(_) => {
-                let ids: Vec<ViewId> = here().map(|(id, _)| id).collect();
-                if let WindowEvent::Focused(false) = event {
-                    // Views treat everything as released when the focus is lost; the releases may go to another window.
-                    window.grabbed = None;
-                    window.fingers.clear();
-                    window.keys.clear();
-                }
-                for id in ids {
-                    let view = viewer.view_mut(id)?;
-                    if view.context() == Some(window.context) {
-                        overlay_of(&mut window.overlays, id).feed(view, &window.window, event);
-                    }
-                    window_events::feed(view, window.context, event);
-                }
-                return Ok(());
+                here().collect()
             }
-            WindowEvent::CursorMoved { position, .. } => {
-                window.pointer_px = DVec2::new(position.x, position.y);
-                window.grabbed.map(|(view, _)| view).or_else(|| at(window.pointer_px))
+            _ => {
+                let at = |position_px| viewer.view_at(context, position_px).map(|(view, _)| view);
+                window.routes.view_of(event, at, here().next()).into_iter().collect()
             }
-            WindowEvent::MouseInput { state, .. } => {
-                let view = window.grabbed.map(|(view, _)| view).or_else(|| at(window.pointer_px));
-                let down = window.grabbed.map_or(0, |(_, down)| down);
-                let down = if *state == ElementState::Pressed { down + 1 } else { down.saturating_sub(1) };
-                window.grabbed = view.filter(|_| down > 0).map(|view| (view, down));
-                view
-            }
-            WindowEvent::Touch(touch) => {
-                let position_px = DVec2::new(touch.location.x, touch.location.y);
-                // A finger that is put down again had lost its release.
-                let is_same = |id: u64| id == touch.id && touch.phase != TouchPhase::Started;
-                let known = window.fingers.iter().find(|(id, _)| is_same(*id)).map(|(_, view)| *view);
-                let view = known.or_else(|| at(position_px));
-                window.fingers.retain(|(id, _)| *id != touch.id);
-                if matches!(touch.phase, TouchPhase::Started | TouchPhase::Moved) {
-                    window.fingers.extend(view.map(|view| (touch.id, view)));
-                }
-                view
-            }
-            WindowEvent::KeyboardInput { event, .. } => {
-                let known = window.keys.iter().find(|(key, _)| *key == event.physical_key).map(|(_, view)| *view);
-                let view = known.or_else(|| at(window.pointer_px)).or_else(first_here);
-                window.keys.retain(|(key, _)| *key != event.physical_key);
-                if event.state == ElementState::Pressed {
-                    window.keys.extend(view.map(|view| (event.physical_key, view)));
-                }
-                view
-            }
-            _ => at(window.pointer_px).or_else(first_here),
         };
-        let Some(id) = for_view else { return Ok(()) };
-        let view = viewer.view_mut(id)?;
-        // The overlay of a view lies over the image of its master camera.
-        let has_overlay = view.context() == Some(window.context);
-        let is_taken = has_overlay && overlay_of(&mut window.overlays, id).feed(view, &window.window, event);
-        // Presses that the overlay takes do not reach the view. Releases always do, since the press may have been there.
-        if !(is_taken && window_events::is_press(event)) {
-            window_events::feed(view, window.context, event);
+        if let WindowEvent::Focused(false) = event {
+            // Views treat everything as released when the focus is lost.
+            window.routes.clear();
+        }
+        for id in ids {
+            window.feed(id, viewer.view_mut(id)?, event);
         }
         Ok(())
     }

@@ -8,11 +8,13 @@
 //! |---|---|
 //! | `one_view`, `many_views` | the two event loops |
 //! | `open` | creates windows and their contexts, and carries out commands of handlers |
+//! | `input_routes` | the view of a window that an event goes to |
 //! | `events` | from winit's events to [`GuiEventAdapter`](super::GuiEventAdapter)s |
 //! | `pacing` | when the next frame is drawn |
 //! | `parent` | windows inside another toolkit's window |
 
 pub(super) mod events;
+mod input_routes;
 mod many_views;
 mod one_view;
 mod open;

@@ -19,14 +19,13 @@ use crate::gpu::GraphicsContext;
 use crate::viewer::camera_path::AnimationPath;
 use crate::viewer::config::{Arrangement, Screen};
 use crate::viewer::display;
-use crate::viewer::{ArrangementError, ViewerError};
-
 use crate::viewer::frame::ViewerConfig;
 use crate::viewer::handlers::{self, StatsPage};
 use crate::viewer::ids::ContextId;
 use crate::viewer::input::WindowCommand;
 use crate::viewer::manipulators::{self, SceneGround};
 use crate::viewer::viewer::Viewer;
+use crate::viewer::{ArrangementError, ViewerError};
 
 /// A callback that runs once, after the first window has opened.
 pub type OnOpen = Box<dyn FnOnce(&mut Viewer) -> Result<(), ViewerError>>;

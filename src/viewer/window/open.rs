@@ -16,11 +16,10 @@ use crate::viewer::ViewerError;
 use crate::viewer::composite::CompositeViewer;
 use crate::viewer::config::{Arrangement, CameraSetup, Screen, WindowSetup, across_screens, one_eye_per_screen};
 use crate::viewer::display::reason_of;
-
 use crate::viewer::frame::ViewerConfig;
 use crate::viewer::ids::{ContextId, SlaveId, ViewId};
 use crate::viewer::input::{MouseCursor, WindowCommand};
-use crate::viewer::view::{Slave, View};
+use crate::viewer::view::View;
 use crate::viewer::viewer::Viewer;
 
 /// Executes a command on a window. Returns the new size when it changed at once, for which winit sends no event.
@@ -171,12 +170,9 @@ pub(in crate::viewer) fn traits_of(config: &ViewerConfig, setup: &WindowSetup, w
     let origin = monitor.as_ref().map_or(PhysicalPosition::new(0, 0), MonitorHandle::position);
     let number = |monitor| setup.screen.or_else(|| number_of(window, monitor)).unwrap_or(0);
     ContextTraits {
-        size_px: size_of(window),
-        samples: setup.samples.unwrap_or(config.samples),
-        vsync: setup.vsync.unwrap_or(config.vsync),
         screen: u32::try_from(monitor.as_ref().map_or(0, number)).unwrap_or(u32::MAX),
         position_px: [at.x - origin.x, at.y - origin.y],
-        ..config.traits()
+        ..setup.traits(config, size_of(window))
     }
 }
 
@@ -275,9 +271,7 @@ pub(in crate::viewer) fn add_slaves(
     cameras: &[CameraSetup],
 ) -> Result<(), ViewerError> {
     for camera in cameras {
-        let CameraSetup { viewport, projection_offset, view_offset, eyes, .. } = *camera;
-        let slave = Slave { viewport, projection_offset, view_offset, eyes, ..Slave::new(context) };
-        viewer.add_slave(view, slave)?;
+        viewer.add_slave(view, camera.slave_in(context))?;
     }
     Ok(())
 }

@@ -28,7 +28,7 @@ impl Pacing {
         Self { on_demand, max_rate, last_frame: now, idle_since: now }
     }
 
-    /// True when frames are drawn on demand only.
+    /// Returns true when frames are drawn on demand only.
     pub fn is_on_demand(&self) -> bool {
         self.on_demand
     }
@@ -44,8 +44,8 @@ impl Pacing {
         self.max_rate.map(|rate| self.last_frame + Duration::from_secs_f64(1.0 / rate.max(1.0)))
     }
 
-    /// True when frames should follow each other but none was requested for a while: window systems request none for hidden
-    /// windows.
+    /// Returns true when frames should follow each other but none was requested for a while: window systems request none for
+    /// hidden windows.
     pub fn is_overdue(&self) -> bool {
         !self.on_demand && self.idle_since.elapsed() > IDLE_FRAME
     }
@@ -62,7 +62,7 @@ impl Pacing {
         is_wanted
     }
 
-    /// True when the loop woke up because a frame is due.
+    /// Returns true when the loop woke up because a frame is due.
     pub fn wakes_for_frame(&self, cause: StartCause, needs_frame: impl FnOnce() -> bool) -> bool {
         let is_time = matches!(cause, StartCause::ResumeTimeReached { .. });
         is_time && (self.last_frame.elapsed() > IDLE_FRAME || needs_frame())

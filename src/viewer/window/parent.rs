@@ -203,7 +203,7 @@ mod followed {
             }
         }
 
-        /// True when the server does not know the window any more.
+        /// Returns true when the server does not know the window any more.
         pub(in crate::viewer) fn is_gone(&self) -> bool {
             self.connection.get_geometry(self.window).map_or(true, |asked| asked.reply().is_err())
         }

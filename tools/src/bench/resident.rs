@@ -5,8 +5,8 @@
 //!
 //! At first no request is served. All requests appear at once. The camera stands still, then moves, so that the priorities of
 //! all requests change in each frame; then many contents arrive at once. In the end it turns away, and nearly all requests are
-//! unwanted at once. The ratio of the longest update to the median tells whether an update is bounded. It is printed by the clock,
-//! which also counts the time in which loading threads have the core, and by the processor time of the updating thread.
+//! unwanted at once. The ratio of the longest update to the median tells whether an update is bounded. It is printed by the
+//! clock, which also counts the time in which loading threads have the core, and by the processor time of the updating thread.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};

@@ -5,13 +5,12 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use terrane::scene::{Sky, SunShadows, Water};
 
 use anyhow::{Context as _, Result, bail};
 use image::RgbaImage;
 use terrane::cull::Stereo;
-
 use terrane::fetch::shown;
+use terrane::scene::{Sky, SunShadows, Water};
 use terrane::viewer::{
     AnimationPath, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, ViewFrom, Viewer, ViewerError,
 };
@@ -201,8 +200,8 @@ impl Flight {
         Ok(true)
     }
 
-    /// Loads until the next frame is due, offscreen while the first view settles. A frame is due when everything that was requested has
-    /// arrived, and at the latest [`UNSEEN_PERIOD`] after `start`, when the last one began.
+    /// Loads until the next frame is due, offscreen while the first view settles. A frame is due when everything that was
+    /// requested has arrived, and at the latest [`UNSEEN_PERIOD`] after `start`, when the last one began.
     pub fn load_unseen(&self, viewer: &mut Viewer, start: Instant) {
         let next = start + UNSEEN_PERIOD;
         let loads = |viewer: &Viewer| viewer.pager().is_some_and(|pager| !pager.is_idle());

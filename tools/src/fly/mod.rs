@@ -46,19 +46,12 @@ pub fn run(args: Box<FlyArgs>, settings: Result<DisplaySettings, DisplaySettingE
     fly(args, settings).and(recording.write(&file).map(drop).map_err(Into::into))
 }
 
-fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
+fn fly(args: Box<FlyArgs>, settings: DisplaySettings) -> Result<()> {
     let display = has_display();
     if args.interactive && !display {
         bail!("there is no display to open a window on; `terrane fly` renders without one");
     }
-    // Paths that cannot be written are reported before the flight, not after it.
-    if let Some(file) = args.screenshot.as_deref().filter(|file| is_other_image(file)) {
-        bail!("{}: the image is written as PNG or JPEG; give it a name that ends in .png or .jpg", file.display());
-    }
-    let files = [&args.report, &args.selection, &args.screenshot];
-    if let Some(folder) = files.into_iter().flatten().find(|file| file.is_dir()) {
-        bail!("{}: is a folder", folder.display());
-    }
+    check_outputs(&args)?;
     let path = args.path.as_deref().map(|file| {
         AnimationPath::read(file).map_err(|error| match error {
             PathError::Io { .. } => anyhow!("{error}"),
@@ -78,32 +71,10 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
         None if views.as_ref().is_some_and(|views| !views.needs_root()) => String::new(),
         None => default_set::ensure()?,
     };
-    settings.samples = settings.samples.max(args.samples);
-    if let Some(mode) = args.stereo {
-        (settings.stereo, settings.stereo_mode) = (true, mode);
-    }
-    let mut config = ViewerConfig {
-        size_px: args.size.0,
-        threading: args.scene.threading,
-        validation: false,
-        ..ViewerConfig::default()
-    };
-    settings.configure(&mut config);
-    config.cpu_affinity = args.scene.cpu_affinity;
-    config.pager.blocking = args.blocking;
-    config.vsync = !args.no_vsync;
-    if !args.scene.no_pipeline_cache {
-        config.pipeline_cache = default_set::cache_folder().map(|folder| folder.join("terrane").join("pipelines"));
-    }
-    config.look_ahead_s = args.look_ahead.unwrap_or(config.look_ahead_s);
-    // Manipulators need the k-d trees to stay above the ground.
-    config.pager.build_kd_trees = args.interactive;
+    let mut config = viewer_config(&args, settings);
     let Opened { source, http, attributions, .. } = args.scene.net.open(&source)?;
     config.pager.http = http;
     config.pager.credits = attributions.into_iter().map(Arc::from).collect();
-    config.pager.limits = args.scene.net.limits();
-    config.pager.max_bytes_loading = args.scene.max_loading.map_or(config.pager.max_bytes_loading, |size| size.0);
-    config.pager.ellipsoid = args.scene.body.map_or(config.pager.ellipsoid, |body| body.0);
     config.pager.style = args.scene.style.as_deref().map(read_style).transpose()?;
     config.pager.overlays = overlays(&args, &mut config.pager.http)?;
     let interrupt = Interrupt::new();
@@ -139,6 +110,46 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
         (false, false) => "in a window",
     };
     flight.finish(&mut viewer, where_drawn)
+}
+
+/// Fails for files that cannot be written: that is reported before the flight, not after it.
+fn check_outputs(args: &FlyArgs) -> Result<()> {
+    if let Some(file) = args.screenshot.as_deref().filter(|file| is_other_image(file)) {
+        bail!("{}: the image is written as PNG or JPEG; give it a name that ends in .png or .jpg", file.display());
+    }
+    let files = [&args.report, &args.selection, &args.screenshot];
+    match files.into_iter().flatten().find(|file| file.is_dir()) {
+        Some(folder) => bail!("{}: is a folder", folder.display()),
+        None => Ok(()),
+    }
+}
+
+/// Returns the configuration that follows from the arguments and the display settings alone.
+fn viewer_config(args: &FlyArgs, mut settings: DisplaySettings) -> ViewerConfig {
+    settings.samples = settings.samples.max(args.samples);
+    if let Some(mode) = args.stereo {
+        (settings.stereo, settings.stereo_mode) = (true, mode);
+    }
+    let mut config = ViewerConfig {
+        size_px: args.size.0,
+        threading: args.scene.threading,
+        validation: false,
+        ..ViewerConfig::default()
+    };
+    settings.configure(&mut config);
+    config.cpu_affinity = args.scene.cpu_affinity;
+    config.vsync = !args.no_vsync;
+    if !args.scene.no_pipeline_cache {
+        config.pipeline_cache = default_set::cache_folder().map(|folder| folder.join("terrane").join("pipelines"));
+    }
+    config.look_ahead_s = args.look_ahead.unwrap_or(config.look_ahead_s);
+    config.pager.blocking = args.blocking;
+    // Manipulators need the k-d trees to stay above the ground.
+    config.pager.build_kd_trees = args.interactive;
+    config.pager.limits = args.scene.net.limits();
+    config.pager.max_bytes_loading = args.scene.max_loading.map_or(config.pager.max_bytes_loading, |size| size.0);
+    config.pager.ellipsoid = args.scene.body.map_or(config.pager.ellipsoid, |body| body.0);
+    config
 }
 
 /// Returns true if a name promises an image of another format than PNG and JPEG.

@@ -2,16 +2,14 @@
 
 use std::io::Write as _;
 use std::sync::atomic::Ordering;
-use terrane::scene::{SunShadows, Water};
 
 use anyhow::{Context as _, Result, anyhow, bail};
-
+use terrane::scene::{SunShadows, Water};
 use terrane::viewer::{ArrangedViews, LoadedRoot, Samples, ViewerConfig, ViewsOptions, ViewsSetup, run_views};
 
 use super::defaults::{HEIGHT_SSE_PX, MESH_SSE_PX};
 use super::errors::into_viewer_error;
 use super::interrupt::Interrupt;
-
 use crate::args::FlyArgs;
 
 /// Opens the windows and runs until they are closed. `root` is the scene of views that do not name one.

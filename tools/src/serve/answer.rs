@@ -261,8 +261,8 @@ impl Server {
         Ok(answer)
     }
 
-    /// Opens the requested file, or its `.gz` if the client accepts that. True for files that gzip has compressed, also under their
-    /// own names. Files outside of the folder are refused, also through links.
+    /// Opens the requested file, or its `.gz` if the client accepts that. True for files that gzip has compressed, also under
+    /// their own names. Files outside of the folder are refused, also through links.
     fn open(&self, request: &Request) -> Option<(File, bool)> {
         let relative = Path::new(request.path.trim_start_matches('/'));
         if !relative.components().all(|c| matches!(c, Component::Normal(_))) {

@@ -1,4 +1,4 @@
-//! The options of `terrane serve`.
+//! The options of `terrane serve`: what is served, where, and the faults that are injected.
 
 use std::path::PathBuf;
 

@@ -11,7 +11,8 @@ use crate::values::minutes;
 
 #[derive(Clone, Debug, ClapArgs)]
 pub struct StressArgs {
-    /// Folder, tileset.json, archive, http(s) URL or s3://, gs://, az:// URI; without it small sets are generated in a temporary folder
+    /// Folder, tileset.json, archive, http(s) URL or s3://, gs://, az:// URI; without it small sets are generated in a
+    /// temporary folder
     pub source: Option<String>,
     /// Number of seeds
     #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..))]

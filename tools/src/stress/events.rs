@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, Result, ensure};
 use glam::{DMat4, DVec3};
-use terrane::viewer::{AnimationPath, ControlPoint, Slave};
+use terrane::viewer::{AnimationPath, ControlPoint, Slave, ViewId};
 
 use super::flight::{Flight, time_s, world_from_eye};
 use super::plan::{Event, MAX_CONTEXTS, MAX_SCENES, MAX_VIEWS};
@@ -31,24 +31,15 @@ impl Flight<'_> {
             }
             // The first context stays open, because its images are checked.
             Event::CloseContext(any) if self.contexts.len() > 1 => {
-                let closed = self.contexts.remove(1 + at(self.contexts.len() - 1, any));
-                ensure!(self.viewer()?.close_context(closed)?, "an open context was not found");
-                self.slaves.retain(|(_, _, context)| *context != closed);
-                for (view, context) in self.views.clone() {
-                    if context == closed {
-                        self.viewer()?.remove_view(view)?;
-                        self.views.retain(|(of, _)| *of != view);
-                        self.slaves.retain(|(of, _, _)| *of != view);
-                    }
-                }
+                let number = 1 + at(self.contexts.len() - 1, any);
+                self.close_context(number)?;
             }
             Event::AddView { context, scene, part } if self.views.len() < MAX_VIEWS => {
                 self.add_view(scene, context, part)?;
             }
             Event::RemoveView(any) if self.views.len() > 1 => {
-                let (view, _) = self.views.remove(1 + at(self.views.len() - 1, any));
-                self.slaves.retain(|(of, _, _)| *of != view);
-                self.viewer()?.remove_view(view)?;
+                let view = self.views[1 + at(self.views.len() - 1, any)].0;
+                self.remove_view(view)?;
             }
             Event::AddSlave { view, context, shift } if self.slaves.len() < MAX_VIEWS => {
                 let view = self.views[at(self.views.len(), view)].0;
@@ -72,15 +63,7 @@ impl Flight<'_> {
                     pager.set_takes_requests(takes);
                 }
             }
-            Event::Clear(scene) => {
-                let number = at(scene_count, scene);
-                let mut left = self.pages_in_each()?;
-                left[number] = 0;
-                self.viewer()?.clear_pages(scenes[number])?;
-                let found = self.pages_in_each()?;
-                let says = || format!("{found:?} instead of {left:?}");
-                self.failures.check(found == left, "a clear removed pages of another scene", self.frame, says);
-            }
+            Event::Clear(scene) => self.clear_scene(at(scene_count, scene))?,
             Event::Sse { view, px } => {
                 let view = self.views[at(self.views.len(), view)].0;
                 self.viewer()?.view_mut(view)?.camera.settings.max_sse_px = px;
@@ -100,14 +83,7 @@ impl Flight<'_> {
             }
             // The first scene stays, because it has the proxies, the sign, and the view whose images are checked.
             Event::RemoveScene if self.scenes.len() > 1 => self.remove_scene(1)?,
-            Event::AddScene if self.scenes.len() < MAX_SCENES => {
-                self.set_faulty(false);
-                let mut viewer = self.viewer.take().context("the viewer is gone")?;
-                let added = self.add_scene(&mut viewer);
-                self.viewer = Some(viewer);
-                self.set_faulty(true);
-                added?;
-            }
+            Event::AddScene if self.scenes.len() < MAX_SCENES => self.add_scene_without_faults()?,
             Event::Sleep(ms) => std::thread::sleep(Duration::from_millis(ms)),
             Event::Finish => self.viewer()?.finish()?,
             Event::OpenContext
@@ -122,13 +98,55 @@ impl Flight<'_> {
         Ok(())
     }
 
+    /// Closes a context with the views whose master camera is in it.
+    fn close_context(&mut self, number: usize) -> Result<()> {
+        let closed = self.contexts.remove(number);
+        ensure!(self.viewer()?.close_context(closed)?, "an open context was not found");
+        self.slaves.retain(|(_, _, context)| *context != closed);
+        for (view, context) in self.views.clone() {
+            if context == closed {
+                self.remove_view(view)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Removes a view with its slaves.
+    fn remove_view(&mut self, view: ViewId) -> Result<()> {
+        self.views.retain(|(of, _)| *of != view);
+        self.slaves.retain(|(of, _, _)| *of != view);
+        self.viewer()?.remove_view(view)?;
+        Ok(())
+    }
+
+    /// Removes the pages of a scene, and checks that those of the others stay.
+    fn clear_scene(&mut self, number: usize) -> Result<()> {
+        let mut left = self.pages_in_each()?;
+        left[number] = 0;
+        let scene = self.scenes[number];
+        self.viewer()?.clear_pages(scene)?;
+        let found = self.pages_in_each()?;
+        let says = || format!("{found:?} instead of {left:?}");
+        self.failures.check(found == left, "a clear removed pages of another scene", self.frame, says);
+        Ok(())
+    }
+
+    /// Adds a scene. Its root is loaded without faults of the server.
+    fn add_scene_without_faults(&mut self) -> Result<()> {
+        self.set_faulty(false);
+        let mut viewer = self.viewer.take().context("the viewer is gone")?;
+        let added = self.add_scene(&mut viewer);
+        self.viewer = Some(viewer);
+        self.set_faulty(true);
+        added?;
+        Ok(())
+    }
+
     fn remove_scene(&mut self, number: usize) -> Result<()> {
         let scene = self.scenes.remove(number);
         for (view, _) in self.views.clone() {
             if self.viewer()?.scene_of(view)? == scene {
-                self.viewer()?.remove_view(view)?;
-                self.views.retain(|(of, _)| *of != view);
-                self.slaves.retain(|(of, _, _)| *of != view);
+                self.remove_view(view)?;
             }
         }
         if let Some(own) = self.pagers.iter().position(|scenes| *scenes == [scene]) {

@@ -3,14 +3,13 @@
 use std::collections::VecDeque;
 use std::path::Path;
 use std::time::{Duration, Instant};
-use terrane::scene::Sky;
 
 use anyhow::{Context as _, Result};
 use glam::{DAffine3, DVec3};
-
 use terrane::fetch::{CacheConfig, IoError, is_remote};
 use terrane::gpu::{AdapterChoice, GpuError, GraphicsContext};
 use terrane::pager::{PagerConfig, PagerStats};
+use terrane::scene::Sky;
 use terrane::viewer::{
     self, CompositeViewer, ContextId, HoleCheck, KEY_COLOR, SceneId, SetBounds, SlaveId, ViewId, ViewerConfig,
     ViewerError,
@@ -499,7 +498,8 @@ impl<'a> Flight<'a> {
             let says = || format!("pager {index}: {s:?}");
             self.failures.check(left == [0; 6], "pages or bytes are left after a clear", self.frame, says);
         }
-        // The white texel of drawables without a texture, such as the sign and tiles whose image has failed, stays in each device.
+        // The white texel of drawables without a texture, such as the sign and tiles whose image has failed, stays in each
+        // device.
         let empty = WHITE_TEXEL_BYTES * self.contexts.len() as u64;
         let mut bytes = 0;
         for frames in 1..=MAX_CLEAR_FRAMES {

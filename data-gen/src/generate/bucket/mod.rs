@@ -1,6 +1,6 @@
-//! A bucket of an object store as OUT. The set is made in a scratch folder on this machine and uploaded, its root last, so that an
-//! incomplete set is never visible as one. Files are removed from the scratch folder when they are uploaded: a run that was killed
-//! continues with the others.
+//! A bucket of an object store as OUT. The set is made in a scratch folder on this machine and uploaded, its root last, so that
+//! an incomplete set is never visible as one. Files are removed from the scratch folder when they are uploaded: a run that was
+//! killed continues with the others.
 
 mod old_set;
 mod parts;

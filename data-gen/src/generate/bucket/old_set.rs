@@ -99,8 +99,9 @@ impl Bucket {
         Ok(own.chain(below.into_iter().flatten()).collect())
     }
 
-    /// Uploads what an update has changed. The old set stays readable: tiles are replaced first, the root then, and files that the new set
-    /// does not have are removed at last. Without its manifest nothing of an incomplete set is kept by a later update.
+    /// Uploads what an update has changed. The old set stays readable: tiles are replaced first, the root then, and files that
+    /// the new set does not have are removed at last. Without its manifest nothing of an incomplete set is kept by a later
+    /// update.
     pub(super) fn upload_update(&self, args: &crate::GenArgs, set: &Path, kept: &[String]) -> Result<(), GenError> {
         self.folder.remove(MANIFEST).map_err(self.error())?;
         let kept: HashSet<&str> = kept.iter().map(String::as_str).collect();

@@ -1,5 +1,5 @@
-//! Shards in a bucket: their files lie in folders beside the set, as those on a disk do, each with its manifest written last. A merge
-//! downloads them.
+//! Shards in a bucket: their files lie in folders beside the set, as those on a disk do, each with its manifest written last. A
+//! merge downloads them.
 
 use std::path::{Path, PathBuf};
 

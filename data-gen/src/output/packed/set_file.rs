@@ -1,5 +1,5 @@
-//! Puts the file of a packed set together from the files of its blocks and the tilesets in its folder. Memory is that of the index of
-//! one block.
+//! Puts the file of a packed set together from the files of its blocks and the tilesets in its folder. Memory is that of the
+//! index of one block.
 
 use std::fs::File;
 use std::io::{BufWriter, Read as _, Seek as _, SeekFrom, Write};

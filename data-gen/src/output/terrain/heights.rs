@@ -1,7 +1,7 @@
 //! The heights of the vertices of tiles in the geographic tiling.
 //!
-//! The tiling is the southern half of a square of 360 degrees, so that a [`Grid`] over the square has its lattices: level 0 of the
-//! tiling is level 1 of the square.
+//! The tiling is the southern half of a square of 360 degrees, so that a [`Grid`] over the square has its lattices: level 0 of
+//! the tiling is level 1 of the square.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -19,8 +19,8 @@ pub(super) struct Heights<'a> {
     grid: Grid<'a>,
     /// The coarser lattices.
     coarse: Grid<'a>,
-    /// The source's rectangle with about the same finest distance of vertices, for voids that are filled; else `None`. Voids that shall be
-    /// cut are filled too, because tiles are whole.
+    /// The source's rectangle with about the same finest distance of vertices, for voids that are filled; else `None`. Voids
+    /// that shall be cut are filled too, because tiles are whole.
     filled: Option<Grid<'a>>,
     voids: Voids,
     /// The rectangle of the source.
@@ -64,8 +64,8 @@ impl<'a> Heights<'a> {
         Self { grid, coarse, filled, voids, extent, source: turned, levels }
     }
 
-    /// Returns the tiles of a level that are written, in Morton order: those where the source may have data, or all on its rectangle if
-    /// voids are given heights. Level 0 is whole.
+    /// Returns the tiles of a level that are written, in Morton order: those where the source may have data, or all on its
+    /// rectangle if voids are given heights. Level 0 is whole.
     pub fn tiles(&self, level: u32) -> Vec<TileKey> {
         let mut found = Vec::new();
         for x in 0..2 {
@@ -114,8 +114,8 @@ impl<'a> Heights<'a> {
         own.south < e.north && e.south < own.north && (overlaps(0.0) || overlaps(TAU))
     }
 
-    /// Returns the heights of a tile. Vertices without data continue their surroundings inside of the source's rectangle, unless they
-    /// shall be sea, and lie at 0 m outside.
+    /// Returns the heights of a tile. Vertices without data continue their surroundings inside of the source's rectangle,
+    /// unless they shall be sea, and lie at 0 m outside.
     pub fn of(&self, key: TileKey) -> Result<TileHeights, GenError> {
         let depth = self.levels - 1 - key.level;
         let (cells, side) = (self.grid.cells(depth), CELLS as i64);
@@ -161,8 +161,8 @@ impl<'a> Heights<'a> {
         self.source.water_depths_m(&[], &[], &mut [])
     }
 
-    /// Returns the depths of open water at the vertices of a tile in metres, below 0 on land, southern row first. `None` if the source
-    /// does not know them.
+    /// Returns the depths of open water at the vertices of a tile in metres, below 0 on land, southern row first. `None` if the
+    /// source does not know them.
     pub fn water_depths_m(&self, key: TileKey) -> Result<Option<Vec<f32>>, GenError> {
         let step = TAU / self.grid.cells(self.levels - 1 - key.level) as f64;
         let first = [key.x, key.y].map(|c| i64::from(c) * CELLS as i64);
@@ -184,8 +184,8 @@ impl<'a> Heights<'a> {
         window
     }
 
-    /// Returns the rectangle of what the heights of a tile with some inputs depend on, which may have longitudes beyond 180 degrees.
-    /// `None` if the heights depend on data alone, but vertices lie outside of the source's rectangle.
+    /// Returns the rectangle of what the heights of a tile with some inputs depend on, which may have longitudes beyond 180
+    /// degrees. `None` if the heights depend on data alone, but vertices lie outside of the source's rectangle.
     pub fn near(&self, key: TileKey, inputs: Inputs) -> Option<Extent> {
         let depth = self.levels - 1 - key.level;
         let (window, step) = (self.window(key), TAU / self.grid.cells(depth) as f64);
@@ -286,8 +286,8 @@ fn in_square(key: TileKey) -> TileKey {
 }
 
 impl TileHeights {
-    /// Returns the height of the vertex (i, j), counted eastwards and northwards. Those around the tile are there too, except beyond
-    /// the pole and the date line.
+    /// Returns the height of the vertex (i, j), counted eastwards and northwards. Those around the tile are there too, except
+    /// beyond the pole and the date line.
     pub fn height_m(&self, i: i64, j: i64) -> f32 {
         self.samples.at(self.first[0] + i, self.first[1] + j)
     }

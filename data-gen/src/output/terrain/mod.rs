@@ -1,7 +1,8 @@
 //! Writes terrain for globes: quantized-mesh tiles in the geographic tiling of the Tile Map Service, with a layer.json.
 //!
-//! Each tile samples the source itself, because tiles of that tiling do not depend on the rectangle of the source. Levels are made from
-//! the finest to the coarsest, so that the heights in a tile's header hold for the finer tiles inside, which clients cull by.
+//! Each tile samples the source itself, because tiles of that tiling do not depend on the rectangle of the source. Levels are
+//! made from the finest to the coarsest, so that the heights in a tile's header hold for the finer tiles inside, which clients
+//! cull by.
 //!
 //! | file | contents |
 //! |---|---|
@@ -32,8 +33,8 @@ use crate::pyramid::{CELLS, TileKey};
 use crate::update::TerrainUpdate;
 use crate::{ElevationSource, Extent, GenArgs, GenError, Progress, Shard, Summary, Voids};
 
-/// The error in metres that CesiumJS assumes for level 0: a quarter of the distance of 65 samples at the equator. It is halved from level
-/// to level.
+/// The error in metres that CesiumJS assumes for level 0: a quarter of the distance of 65 samples at the equator. It is halved
+/// from level to level.
 const LEVEL_0_ERROR_M: f64 = 77_067.34;
 /// The allowed distance of samples and triangles as a share of the level's error: half a pixel with the usual limit of 2.
 const SHARE_OF_LEVEL: f64 = 0.25;
@@ -101,8 +102,8 @@ impl TerrainSet<'_> {
         FILLED_BYTES + per_tile * self.count_tiles(args).iter().sum::<u64>()
     }
 
-    /// Makes the tiles of subtrees of some levels at a number of places, as a sample. Returns for each level from `root` on the number of
-    /// tiles and their bytes.
+    /// Makes the tiles of subtrees of some levels at a number of places, as a sample. Returns for each level from `root` on the
+    /// number of tiles and their bytes.
     pub fn sample(&self, args: &GenArgs, root: u32, places: usize, folder: &Path) -> Result<Vec<[u64; 2]>, GenError> {
         self.with_heights(args, |heights| {
             let roots = spread(&heights.tiles(root), places);
@@ -120,9 +121,9 @@ impl TerrainSet<'_> {
         self.with_heights(args, |heights| heights.gaps_checksum())
     }
 
-    /// Writes all tiles and layer.json into a folder, on the threads of the current rayon pool; of a shard only the tiles below its
-    /// roots. Tiles that a killed run or a shard has completed are not made again, nor those that an update keeps. The caller fills in the
-    /// duration and the final folder of the summary.
+    /// Writes all tiles and layer.json into a folder, on the threads of the current rayon pool; of a shard only the tiles below
+    /// its roots. Tiles that a killed run or a shard has completed are not made again, nor those that an update keeps. The
+    /// caller fills in the duration and the final folder of the summary.
     pub fn write(
         &self,
         args: &GenArgs,

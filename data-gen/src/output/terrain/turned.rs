@@ -46,7 +46,8 @@ impl ElevationSource for Turned<'_> {
 
     fn heights_of_grid(&self, longitudes: &[f64], latitudes: &[f64], out: &mut [f32]) -> Result<bool, GenError> {
         let turned: Vec<f64> = longitudes.iter().map(|longitude| self.longitude(*longitude)).collect();
-        // Columns on both sides of the source's western edge are no grid. Files are read by rows: a coarse tile may contain a large part.
+        // Columns on both sides of the source's western edge are no grid. Files are read by rows: a coarse tile may contain a
+        // large part.
         if !self.source.is_formula() || !turned.is_sorted() {
             return Ok(false);
         }

@@ -4,9 +4,9 @@ use super::Surface;
 use super::shapes::{Crossings, SHAPES, Shapes, crossings_of};
 use super::triangulation::{Point, Triangulation};
 
-/// Returns the largest vertical distance in metres between some triangles and the grid, at the edges of triangles. The edges of both
-/// surfaces divide them into flat parts. So the largest distance is at a sample, or where an edge of a triangle crosses an edge of
-/// the grid. Samples inside of the tile do not count: the insertion has measured them.
+/// Returns the largest vertical distance in metres between some triangles and the grid, at the edges of triangles. The edges of
+/// both surfaces divide them into flat parts. So the largest distance is at a sample, or where an edge of a triangle crosses an
+/// edge of the grid. Samples inside of the tile do not count: the insertion has measured them.
 pub(super) fn largest_distance_m(surface: &Surface, net: &Triangulation, triangles: &[u16]) -> f64 {
     let (shapes, mut outer_m, mut inner_m) = (&*SHAPES, 0.0f64, [0.0f64; 4]);
     for &triangle in triangles {

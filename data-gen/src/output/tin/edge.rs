@@ -4,8 +4,8 @@ use super::{ALLOWED_SHARE, MIN_ALLOWED_M};
 
 /// Returns the positions of the vertices on an edge, both ends included, from its heights in metres (from west to east, or from
 /// south to north). The result depends on the arguments alone, which two tiles at the edge have in common. `curvature_m` is the
-/// height by which the earth falls below its tangent within one cell; `is_kept` says which samples must be vertices. Distances are at most
-/// `limit_m`.
+/// height by which the earth falls below its tangent within one cell; `is_kept` says which samples must be vertices. Distances
+/// are at most `limit_m`.
 pub(crate) fn edge_vertices(
     heights_m: &[f32],
     curvature_m: f64,

@@ -15,16 +15,16 @@ struct Farthest {
     sample: Point,
 }
 
-/// Triangulates a tile. `edges` are the positions of the vertices on the southern, eastern, northern and western edge, counted from
-/// the west or the south.
+/// Triangulates a tile. `edges` are the positions of the vertices on the southern, eastern, northern and western edge, counted
+/// from the west or the south.
 ///
-/// Samples at bends of the surface come first. Each round then inserts the farthest sample of every triangle, the largest distance
-/// first, unless a sample before has moved the triangles close enough to it. That takes a third of the measurements of one sample at a
-/// time.
+/// Samples at bends of the surface come first. Each round then inserts the farthest sample of every triangle, the largest
+/// distance first, unless a sample before has moved the triangles close enough to it. That takes a third of the measurements of
+/// one sample at a time.
 ///
 /// No sample with data is farther from the triangles than the allowed distance. That is [`ALLOWED_SHARE`] of the error of a grid
-/// with half as many cells, at most `limit_m`, and at least half a step of the heights. Between samples the distance may be larger where a triangle's edge
-/// crosses a ridge; [`Tin::distance_m`] is the largest of all.
+/// with half as many cells, at most `limit_m`, and at least half a step of the heights. Between samples the distance may be
+/// larger where a triangle's edge crosses a ridge; [`Tin::distance_m`] is the largest of all.
 pub(crate) fn triangulate(surface: &Surface, edges: &[Vec<u16>; 4], limit_m: f64) -> Tin {
     let last = (surface.side() - 1) as i32;
     let mut net = Triangulation::new(last);
@@ -79,8 +79,8 @@ pub(crate) fn triangulate(surface: &Surface, edges: &[Vec<u16>; 4], limit_m: f64
     finish(surface, &net, at_samples_m)
 }
 
-/// Inserts the samples where the surface bends most. Nearly every triangulation needs them. Each square of 3 x 3 samples has one: the
-/// farthest from the middle of its neighbours, if that is more than the allowed distance. Without them about the same
+/// Inserts the samples where the surface bends most. Nearly every triangulation needs them. Each square of 3 x 3 samples has
+/// one: the farthest from the middle of its neighbours, if that is more than the allowed distance. Without them about the same
 /// vertices would be found in more rounds over larger triangles.
 fn insert_bends(surface: &Surface, allowed_m: f64, net: &mut Triangulation) {
     /// The steps from one square to the next. Few far from each other come first, so that triangles are seldom long.

@@ -50,7 +50,8 @@ pub(crate) struct Tin {
 }
 
 impl Tin {
-    /// Returns two triangles for each cell. `has_data` returns which of them have data: the south-eastern and the north-western one.
+    /// Returns two triangles for each cell. `has_data` returns which of them have data: the south-eastern and the north-western
+    /// one.
     pub fn grid(has_data: impl Fn(usize, usize) -> [bool; 2]) -> Self {
         let side = CELLS as u16 + 1;
         let vertices = (0..side).flat_map(|j| (0..side).map(move |i| [i, j])).collect();
@@ -64,9 +65,9 @@ impl Tin {
         Self { vertices, triangles, is_ordered: false, distance_m: 0.0 }
     }
 
-    /// Returns few triangles for the samples of a tile, by the functions of [`Surface::new`]. Samples are at most the first limit in
-    /// metres from them, and closer where the tile is smooth. If the triangles are farther than `most_m` from the grid between
-    /// samples, the next limits count for samples inside of the tile; its edges stay, which neighbours have too.
+    /// Returns few triangles for the samples of a tile, by the functions of [`Surface::new`]. Samples are at most the first
+    /// limit in metres from them, and closer where the tile is smooth. If the triangles are farther than `most_m` from the grid
+    /// between samples, the next limits count for samples inside of the tile; its edges stay, which neighbours have too.
     pub fn of_samples(
         height_m: &dyn Fn(i64, i64) -> f32,
         curvature_m: &dyn Fn(i64) -> [f64; 2],

@@ -1,5 +1,5 @@
-//! Tables of small triangles and short edges: the offsets of the samples on them from the first corner. Most triangles are small, and
-//! going through their rows would take longer than the samples.
+//! Tables of small triangles and short edges: the offsets of the samples on them from the first corner. Most triangles are
+//! small, and going through their rows would take longer than the samples.
 
 use std::sync::LazyLock;
 
@@ -29,8 +29,8 @@ pub(super) struct Inside {
 /// Four points at which an edge crosses lines of the grid between two samples. Unused ones are the start of the edge.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Crossings {
-    /// The offsets in [`super::Surface`] of the samples before, from the start of the edge, and those of the samples behind from the ones
-    /// before.
+    /// The offsets in [`super::Surface`] of the samples before, from the start of the edge, and those of the samples behind
+    /// from the ones before.
     pub offsets: [i16; 4],
     pub steps: [i16; 4],
     /// The parts of the edge that lie before.
@@ -88,8 +88,8 @@ impl Shapes {
         }
     }
 
-    /// Returns the samples of a small triangle without its corners, those on its edges included, and one over its double area. `None`
-    /// for a larger one.
+    /// Returns the samples of a small triangle without its corners, those on its edges included, and one over its double area.
+    /// `None` for a larger one.
     #[inline(always)]
     pub fn inside(&self, [a, b, c]: [Point; 3], turn: i32) -> Option<(&[Inside], f64)> {
         const SIDE: i32 = 2 * MAX_REACH + 1;

@@ -6,8 +6,8 @@ use super::rows::MAX_CELLS;
 pub(super) const STRIDE: usize = MAX_CELLS as usize + 1;
 
 /// The samples of a tile. Triangles between them are flat in space, but the earth is round. Heights are lowered by the
-/// bulge of the earth above a plane, so that a flat triangle is linear in column and row. The vertical distance of two surfaces is
-/// then the difference of their values.
+/// bulge of the earth above a plane, so that a flat triangle is linear in column and row. The vertical distance of two surfaces
+/// is then the difference of their values.
 pub(crate) struct Surface {
     side: usize,
     /// Lowered heights in metres, southern row first, each row from west to east and filled up to [`STRIDE`] samples.
@@ -18,9 +18,10 @@ pub(crate) struct Surface {
 }
 
 impl Surface {
-    /// Creates the surface of `side * side` samples, `side` at least 2 and at most [`STRIDE`]. `curvature_m` returns for a row the height in metres by
-    /// which the earth falls below its tangent plane within one cell eastwards and one northwards. `has_data` returns which
-    /// triangles of a cell have data; cells outside of the tile, from -1 to `side - 1`, belong to its neighbours.
+    /// Creates the surface of `side * side` samples, `side` at least 2 and at most [`STRIDE`]. `curvature_m` returns for a row
+    /// the height in metres by which the earth falls below its tangent plane within one cell eastwards and one northwards.
+    /// `has_data` returns which triangles of a cell have data; cells outside of the tile, from -1 to `side - 1`, belong to its
+    /// neighbours.
     pub fn new(
         side: usize,
         height_m: impl Fn(i64, i64) -> f32,
@@ -80,8 +81,9 @@ impl Surface {
         &self.values_m[first + from as usize..=first + to as usize]
     }
 
-    /// Returns how much the surface bends at samples of a row, from one column to the one before `end`, in metres. A sample bends by its
-    /// distance from the middle of the western and eastern neighbours, or of the southern and northern ones, whichever is larger.
+    /// Returns how much the surface bends at samples of a row, from one column to the one before `end`, in metres. A sample
+    /// bends by its distance from the middle of the western and eastern neighbours, or of the southern and northern ones,
+    /// whichever is larger.
     #[inline(always)]
     pub fn bends_m(&self, j: i32, from: i32, end: i32) -> impl Iterator<Item = f64> {
         let [south, own, north] = [j - 1, j, j + 1].map(|j| self.row(j, from - 1, end));

@@ -6,8 +6,8 @@ const NONE: u16 = u16::MAX;
 /// A point of the lattice: column and row.
 pub(super) type Point = [i32; 2];
 
-/// The edges of a triangle, from corner `k` to the next, are numbered `4 * triangle + k`. A triangle has four numbers in each list, so that
-/// it is found by shifts.
+/// The edges of a triangle, from corner `k` to the next, are numbered `4 * triangle + k`. A triangle has four numbers in each
+/// list, so that it is found by shifts.
 type Four = [u16; 4];
 
 /// Returns the number of an edge, or of the triangle that has it.
@@ -40,8 +40,8 @@ fn point(packed: u16) -> Point {
     [packed & 0xff, packed >> 8].map(i32::from)
 }
 
-/// A Delaunay triangulation of a square with at most [`super::rows::MAX_CELLS`] cells along a side. Of the two diagonals of a cell with
-/// four vertices it has the one from south-west to north-east, as the grid has. All arithmetic is exact.
+/// A Delaunay triangulation of a square with at most [`super::rows::MAX_CELLS`] cells along a side. Of the two diagonals of a
+/// cell with four vertices it has the one from south-west to north-east, as the grid has. All arithmetic is exact.
 pub(super) struct Triangulation {
     /// See [`pack`].
     points: Vec<u16>,

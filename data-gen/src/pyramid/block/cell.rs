@@ -54,8 +54,9 @@ impl Cell {
     }
 }
 
-/// Returns the largest vertical distance in metres between the grid of a tile and the samples of a finer tile inside. `set` is the
-/// rectangle of the set on an ellipsoid; `height_m` returns the height of a vertex of the coarser tile by its column and row.
+/// Returns the largest vertical distance in metres between the grid of a tile and the samples of a finer tile inside. `set` is
+/// the rectangle of the set on an ellipsoid; `height_m` returns the height of a vertex of the coarser tile by its column and
+/// row.
 pub(crate) fn distance_to_finer_m(
     ellipsoid: &Ellipsoid,
     set: &Extent,
@@ -83,8 +84,8 @@ pub(crate) fn distance_to_finer_m(
     distance_m
 }
 
-/// Returns the largest distance between samples of a row and a surface: `start + slope * u - east * u * (1 - u)`, where `u` of the
-/// k-th sample is `(first + k) * step`. Samples without data do not count.
+/// Returns the largest distance between samples of a row and a surface: `start + slope * u - east * u * (1 - u)`, where `u` of
+/// the k-th sample is `(first + k) * step`. Samples without data do not count.
 #[inline(always)]
 fn farthest(row: &[f32], first: i64, step: f64, [start, slope, east]: [f64; 3]) -> f64 {
     let distance = |at: f64, h: f32| {
@@ -125,8 +126,8 @@ pub(super) struct CellRow<'a> {
 const WIDE_STRIDE: i64 = 8;
 
 impl CellRow<'_> {
-    /// Returns the largest distance between the triangles of the cells and the finest samples, those on the eastern edge of the last
-    /// cell included.
+    /// Returns the largest distance between the triangles of the cells and the finest samples, those on the eastern edge of the
+    /// last cell included.
     #[inline(always)]
     pub fn error_m(&self, bulge: &Bulge, finest: &Samples, rises: &mut Vec<[f64; 2]>) -> f64 {
         let [south, north] = self.corners;

@@ -113,8 +113,8 @@ impl Block<'_> {
         }
     }
 
-    /// Combines the parts that the blocks below measured. `below` has for each of them the facts of its root, the error of its finest
-    /// level, and [`Record::above_m`]; row-major from the south-west.
+    /// Combines the parts that the blocks below measured. `below` has for each of them the facts of its root, the error of its
+    /// finest level, and [`Record::above_m`]; row-major from the south-west.
     pub(super) fn measure_from(&mut self, below: &[Option<(TileFacts, f64, Vec<f64>)>]) {
         self.above_m = vec![0.0; self.root.level as usize];
         for (_, finest_m, above_m) in below.iter().flatten() {
@@ -210,7 +210,8 @@ impl Block<'_> {
         error_m
     }
 
-    /// Measures the block's part of every tile above it; by level. Also returns the vertices outside of the block that it asked for.
+    /// Measures the block's part of every tile above it; by level. Also returns the vertices outside of the block that it asked
+    /// for.
     pub(super) fn measure_above(&self) -> Result<(Vec<f64>, Vec<HeightAt>), GenError> {
         let (finest, first, side) = (self.measured(), self.first(0), self.side(0));
         let window = Window { first, last: first.map(|c| c + side) };
@@ -260,7 +261,8 @@ fn children_of(t: usize, tiles: usize) -> [usize; 4] {
     [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(cx, cy)| (2 * y + cy) * 2 * tiles + 2 * x + cx)
 }
 
-/// Returns the samples of a cell. Those on its eastern and northern edges belong to its neighbours, except at the edges of the tile.
+/// Returns the samples of a cell. Those on its eastern and northern edges belong to its neighbours, except at the edges of the
+/// tile.
 fn own_samples(cell: &Cell) -> Window {
     let end = cell.first.map(|c| {
         let last = c + cell.stride;

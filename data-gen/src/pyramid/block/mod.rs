@@ -51,8 +51,8 @@ pub(crate) struct Block<'a> {
     filled: Vec<Option<Samples>>,
     /// Smoothed heights by depth, from the one that texels of the finest tiles need on; empty without colour.
     texels: Vec<Samples>,
-    /// By level from the finest one, which triangles of the block's cells have data, row-major: the south-eastern and the north-western
-    /// one. `None` if all have.
+    /// By level from the finest one, which triangles of the block's cells have data, row-major: the south-eastern and the
+    /// north-western one. `None` if all have.
     triangles: Option<Vec<Vec<[bool; 2]>>>,
     /// By level from the root, row-major from the south-west.
     facts: Vec<Vec<TileFacts>>,
@@ -334,8 +334,8 @@ impl<'a> Block<'a> {
         out.extend(std::iter::repeat_n(inside[count - 1], behind));
     }
 
-    /// Returns the largest vertical distance between the edges of a tile and those that tiles one or two levels coarser have there,
-    /// in metres.
+    /// Returns the largest vertical distance between the edges of a tile and those that tiles one or two levels coarser have
+    /// there, in metres.
     pub fn edge_step_m(&self, key: TileKey) -> f64 {
         let last = CELLS as i64;
         let stride = 1i64 << key.depth(self.grid.levels);
@@ -372,8 +372,8 @@ impl<'a> Block<'a> {
         Surface::new(self.grid, (texels, smooth), (ambient, around))
     }
 
-    /// Returns the record of a block of the finest layer whose tiles are the same, with the errors of the tiles above as this block
-    /// has measured them.
+    /// Returns the record of a block of the finest layer whose tiles are the same, with the errors of the tiles above as this
+    /// block has measured them.
     pub fn measured_again(self, record: Record) -> Record {
         Record { above_m: self.above_m, dependencies: self.dependencies, ..record }
     }

@@ -195,8 +195,8 @@ fn unit(v: [f32; 3]) -> [f32; 3] {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::planet::RowBuffers;
     use super::super::super::points::{RADIUS_M, meridians};
+    use super::super::super::surface::RowBuffers;
     use super::super::super::{World, WorldPreset};
     use super::*;
 

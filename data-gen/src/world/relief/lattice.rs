@@ -115,7 +115,8 @@ impl Block {
         hashes
     }
 
-    /// Returns the offset of a position from a corner of its cell that its hash moves, by at most half of `share` along each axis.
+    /// Returns the offset of a position from a corner of its cell that its hash moves, by at most half of `share` along each
+    /// axis.
     #[inline(always)]
     pub fn offset(&self, corner: usize, lane: usize, hash: u32, share: f32) -> [f32; 3] {
         let along = |axis: usize, shift: u32| {

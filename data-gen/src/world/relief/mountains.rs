@@ -127,7 +127,8 @@ impl Relief {
         }
     }
 
-    /// Adds gullies to `scratch.detail`, where `scratch.strength` is above 0. Their direction follows the slope of `scratch.total` and of the larger gullies.
+    /// Adds gullies to `scratch.detail`, where `scratch.strength` is above 0. Their direction follows the slope of
+    /// `scratch.total` and of the larger gullies.
     fn add_gullies(&self, seed: u64, points: &Points, s: &mut Scratch, out: &mut Ground) {
         let n = points.len();
         s.across.reset(n);

@@ -379,8 +379,8 @@ pub(crate) fn bent(radius_m: f64, at: [f64; 3], bend_m: [f32; 3]) -> [f64; 3] {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::planet::RowBuffers;
     use super::super::super::points::{RADIUS_M, meridians};
+    use super::super::super::surface::RowBuffers;
     use super::super::super::{World, WorldPreset};
     use super::*;
 

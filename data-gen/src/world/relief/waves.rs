@@ -20,8 +20,8 @@ fn sine(turn: f32) -> f32 {
     arc * (0.775 + 0.225 * arc.abs())
 }
 
-/// Returns the phase of the stripes of a corner of a position's cell, in turns. The stripes pass through a random point, `jitter`,
-/// within half a cell around the corner.
+/// Returns the phase of the stripes of a corner of a position's cell, in turns. The stripes pass through a random point,
+/// `jitter`, within half a cell around the corner.
 #[inline(always)]
 fn phase_of(corner: usize, place: [f32; 3], jitter: [f32; 3], turns_per_cell: [f32; 3]) -> f32 {
     const HALF: f32 = 0.5 / 512.0;

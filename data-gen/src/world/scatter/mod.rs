@@ -1,7 +1,8 @@
 //! Trees and rocks on a tile: instances of a few meshes, as glb with EXT_mesh_gpu_instancing.
 //!
-//! Sites are places on a lattice that all levels of a set share, so that a tile has those that lie in it. Fine levels have a second
-//! lattice, of shrubs and stones. The ground decides what stands there; it stands on the surface of the tile's own level.
+//! Sites are places on a lattice that all levels of a set share, so that a tile has those that lie in it. Fine levels have a
+//! second lattice, of shrubs and stones. The ground decides what stands there; it stands on the surface of the tile's own
+//! level.
 
 mod models;
 

@@ -1,7 +1,7 @@
 //! The details that are seen from near the ground: stones, tufts and crowns of trees as round lumps, and ripples in sand.
 //!
-//! Lumps have sizes of their own, whatever the level is, so that those of a level are also on the next finer one. Each size is drawn by
-//! the levels on which a lump has several texels and fewer than a hundred.
+//! Lumps have sizes of their own, whatever the level is, so that those of a level are also on the next finer one. Each size is
+//! drawn by the levels on which a lump has several texels and fewer than a hundred.
 
 use super::super::points::Points;
 use super::super::relief::{LANES, add_noise, for_blocks, part, part_seed, smooth};
@@ -71,8 +71,8 @@ impl Details {
     }
 }
 
-/// Adds lumps of a size, `amplitude` high, and their random numbers. A lump has the positions that are nearest to one lattice point,
-/// which is moved by random; only the corners of a position's cell count.
+/// Adds lumps of a size, `amplitude` high, and their random numbers. A lump has the positions that are nearest to one lattice
+/// point, which is moved by random; only the corners of a position's cell count.
 fn add_lumps(points: &Points, frequency: f64, seed: u32, amplitude: f32, dome: &mut [f32], tone: &mut [f32]) {
     let n = dome.len();
     for_blocks(

@@ -2,17 +2,16 @@
 //!
 //! Climate and the long waves of the colours' variation are computed at every fourth sample and interpolated.
 
-use super::super::planet::{RowBuffers, World};
 use super::super::points::{Points, meridians, sin_cos};
 use super::super::preset::Flow;
 use super::super::relief::{Covers, Ground, add_noise, add_octaves, bent, part_seed, smooth, wide};
-use super::super::tiles::rounded;
 use super::climate::{FROZEN_C, LAPSE_C, Weather};
 use super::colors::{Texels, wetness, wood};
 use super::lumps::Details;
+use super::patch_lattice::{Lattice, MARGIN};
+use super::planet::{RowBuffers, World};
+use crate::pyramid::QUANTUM_M;
 
-/// Samples beyond each edge, for slopes and the shade of surroundings.
-pub(crate) const MARGIN: usize = 4;
 /// The number of texels along a cell.
 pub(crate) const TEXELS_PER_CELL: usize = 4;
 /// The distance between the samples of the climate, in cells.
@@ -21,46 +20,6 @@ const COARSE: usize = 4;
 const VARIATION_M: f64 = 160_000.0;
 /// The number of octaves of the variation.
 const VARIATIONS: u32 = 13;
-
-/// The rectangle of a patch: its cells are `step` radians of longitude and latitude, the first sample inside is at
-/// `(column, row)` steps from the origin. Positions are computed from whole numbers, so that they have the same bits in all
-/// patches.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Lattice {
-    pub origin: [f64; 2],
-    pub side: [f64; 2],
-    /// The number of steps along the whole side.
-    pub steps: f64,
-    pub column: i64,
-    pub row: i64,
-    /// The radius of the body in metres.
-    pub radius_m: f64,
-}
-
-impl Lattice {
-    pub fn longitude(&self, column: i64) -> f64 {
-        self.origin[0] + self.side[0] * ((self.column + column) as f64 / self.steps)
-    }
-
-    /// Returns the longitude of a place between samples.
-    pub fn at_longitude(&self, column: f64) -> f64 {
-        self.origin[0] + self.side[0] * ((self.column as f64 + column) / self.steps)
-    }
-
-    /// Returns the latitude of a place between samples.
-    pub fn at_latitude(&self, row: f64) -> f64 {
-        self.origin[1] + self.side[1] * ((self.row as f64 + row) / self.steps)
-    }
-
-    pub fn latitude(&self, row: i64) -> f64 {
-        self.origin[1] + self.side[1] * ((self.row + row) as f64 / self.steps)
-    }
-
-    /// Returns the distance between rows in metres.
-    pub fn step_m(&self) -> f64 {
-        self.side[1] / self.steps * self.radius_m
-    }
-}
 
 /// The ground of a place where a tree or a rock may stand.
 #[derive(Clone, Copy, Debug)]
@@ -93,6 +52,11 @@ fn add_variation(points: &Points, seed: u32, range_m: std::ops::Range<f64>, ampl
         }
         wavelength_m *= 0.25;
     }
+}
+
+/// Rounds a height to the quantum of height tiles.
+pub(crate) fn rounded(height_m: f32) -> f32 {
+    ((f64::from(height_m) / QUANTUM_M).round() * QUANTUM_M) as f32
 }
 
 impl Patch {
@@ -128,7 +92,8 @@ impl Patch {
         self.lattice
     }
 
-    /// Returns the share of open water in each cell inside of the margin, 0 to 255, northern row first. The colours were painted before.
+    /// Returns the share of open water in each cell inside of the margin, 0 to 255, northern row first. The colours were
+    /// painted before.
     pub fn water(&self, world: &World) -> Vec<u8> {
         let s = &self.samples;
         let is_wet = world.has_water();

@@ -32,7 +32,7 @@ struct TableSet {
 }
 
 impl TableSet {
-    /// True if the set needs no recomputation of the tables that depend on aerosols.
+    /// Returns true if the set needs no recomputation of the tables that depend on aerosols.
     fn fits(&self, air: &AirParameters) -> bool {
         self.wanted.is_none_or(|wanted| wanted.aerosol_per_km == air.aerosol_per_km)
     }

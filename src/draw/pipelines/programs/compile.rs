@@ -81,106 +81,110 @@ impl Compiled {
 pub(super) fn compile(device: &wgpu::Device, program: &Program) -> Result<Compiled, String> {
     let source = format!("{PROGRAM_PRELUDE}\n{}", program.wgsl);
     let module = checked(&source)?;
-    let fragment = module
-        .entry_points
-        .iter()
-        .find(|e| e.name == "fs_main" && e.stage == naga::ShaderStage::Fragment)
-        .ok_or("no fragment entry point fs_main")?;
-    let vertex = module
-        .entry_points
-        .iter()
-        .find(|e| e.name == "vs_main" && e.stage == naga::ShaderStage::Vertex)
-        .ok_or("no vertex entry point vs_main")?;
-    let inputs = inputs_of(&module, vertex);
-    let mut layouter = naga::proc::Layouter::default();
-    layouter.update(module.to_ctx()).map_err(|e| e.to_string())?;
-    let mut members = Vec::new();
-    let mut uniform_bytes = 0;
-    let mut units = [None; TEXTURE_UNITS];
-    let mut of_attribute = Vec::new();
-    for (_, variable) in module.global_variables.iter() {
-        let Some(binding) = variable.binding.as_ref().filter(|b| b.group >= GROUP) else { continue };
-        let inner = &module.types[variable.ty].inner;
-        if binding.group == ATTRIBUTE_GROUP {
-            of_attribute.push(attribute_entry(binding.binding, variable.space, inner)?);
-            continue;
-        }
-        match (binding.group, binding.binding, inner) {
-            (GROUP, 0, naga::TypeInner::Struct { members: declared, span }) => {
-                uniform_bytes = *span as usize;
-                members.extend(declared.iter().map(|m| Member {
-                    name: m.name.clone().unwrap_or_default(),
-                    offset: m.offset as usize,
-                    type_name: type_name(&module, m.ty),
-                    size: layouter[m.ty].size as usize,
-                }));
-            }
-            (GROUP, b, naga::TypeInner::Image { dim, arrayed, class })
-                if b % 2 == 1 && b < 2 * TEXTURE_UNITS as u32 =>
-            {
-                let (dimension, is_depth) = sampled_texture(b, *dim, *arrayed, *class)?;
-                let is_filtered = !is_depth;
-                let unit: &mut Option<UnitLayout> = &mut units[(b / 2) as usize];
-                let (has_sampler, compares) = unit.map_or((false, false), |u| (u.has_sampler, u.compares));
-                *unit = Some(UnitLayout { dimension, is_depth, is_filtered, has_sampler, compares });
-            }
-            (GROUP, b, naga::TypeInner::Sampler { comparison })
-                if b % 2 == 0 && (2..=2 * TEXTURE_UNITS as u32).contains(&b) =>
-            {
-                let unit = &mut units[(b / 2 - 1) as usize];
-                let before = unit.unwrap_or(UnitLayout {
-                    dimension: wgpu::TextureViewDimension::D2,
-                    is_depth: false,
-                    is_filtered: true,
-                    has_sampler: true,
-                    compares: *comparison,
-                });
-                *unit = Some(UnitLayout { has_sampler: true, compares: *comparison, ..before });
-            }
-            (group, binding, _) => {
-                return Err(format!("group {group} binding {binding} is neither uniforms nor a texture nor a sampler"));
-            }
-        }
-    }
-    let constants = module
-        .overrides
-        .iter()
-        .filter_map(|(_, o)| o.name.as_ref())
-        .filter_map(|name| program.defines.iter().find(|(n, _)| n == name).cloned())
-        .collect();
+    let fragment =
+        entry_point(&module, "fs_main", naga::ShaderStage::Fragment).ok_or("no fragment entry point fs_main")?;
+    let vertex = entry_point(&module, "vs_main", naga::ShaderStage::Vertex).ok_or("no vertex entry point vs_main")?;
+    let Declared { members, uniform_bytes, units, of_attribute } = Declared::of(&module)?;
     let max = device.limits().max_uniform_buffer_binding_size;
     if uniform_bytes as u64 > max {
         return Err(format!("{uniform_bytes} bytes of uniforms are more than the {max} that the adapter allows"));
     }
-    let entries = bindings(uniform_bytes, &units);
-    let layout = device
-        .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(&program.name), entries: &entries });
-    let attribute_layout = (!of_attribute.is_empty()).then(|| {
-        device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some(&program.name),
-            entries: &of_attribute,
-        })
-    });
-    let outputs = fragment.function.result.as_ref().map_or(0, |r| written(&module, r));
-    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: Some(&program.name),
-        source: wgpu::ShaderSource::Wgsl(source.into()),
-    });
-    // A word in a comment only makes the pipeline a little slower.
-    let discards = ["discard", "frag_depth"].iter().any(|word| program.wgsl.contains(word));
+    let label = Some(&*program.name);
+    let layout = |entries: &[wgpu::BindGroupLayoutEntry]| {
+        device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label, entries })
+    };
+    let overrides = module.overrides.iter().filter_map(|(_, o)| o.name.as_ref());
     Ok(Compiled {
-        module,
-        heights: None,
-        layout,
-        attribute_layout,
+        layout: layout(&bindings(uniform_bytes, &units)),
+        attribute_layout: (!of_attribute.is_empty()).then(|| layout(&of_attribute)),
+        inputs: inputs_of(&module, vertex),
+        constants: overrides.filter_map(|name| program.defines.iter().find(|(n, _)| n == name).cloned()).collect(),
+        outputs: fragment.function.result.as_ref().map_or(0, |r| written(&module, r)),
+        // A word in a comment only makes the pipeline a little slower.
+        discards: ["discard", "frag_depth"].iter().any(|word| program.wgsl.contains(word)),
         members,
-        inputs,
         uniform_bytes,
         units,
-        constants,
-        outputs,
-        discards,
+        module: device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label,
+            source: wgpu::ShaderSource::Wgsl(source.into()),
+        }),
+        heights: None,
     })
+}
+
+fn entry_point<'a>(module: &'a naga::Module, name: &str, stage: naga::ShaderStage) -> Option<&'a naga::EntryPoint> {
+    module.entry_points.iter().find(|entry| entry.name == name && entry.stage == stage)
+}
+
+/// The uniforms and bindings that a program declares.
+struct Declared {
+    members: Vec<Member>,
+    uniform_bytes: usize,
+    units: [Option<UnitLayout>; TEXTURE_UNITS],
+    /// The bindings of the application's own state attribute.
+    of_attribute: Vec<wgpu::BindGroupLayoutEntry>,
+}
+
+impl Declared {
+    fn of(module: &naga::Module) -> Result<Self, String> {
+        let mut layouter = naga::proc::Layouter::default();
+        layouter.update(module.to_ctx()).map_err(|e| e.to_string())?;
+        let mut declared =
+            Self { members: Vec::new(), uniform_bytes: 0, units: [None; TEXTURE_UNITS], of_attribute: Vec::new() };
+        for (_, variable) in module.global_variables.iter() {
+            let Some(binding) = variable.binding.as_ref().filter(|b| b.group >= GROUP) else { continue };
+            let inner = &module.types[variable.ty].inner;
+            if binding.group == ATTRIBUTE_GROUP {
+                declared.of_attribute.push(attribute_entry(binding.binding, variable.space, inner)?);
+                continue;
+            }
+            match (binding.group, binding.binding, inner) {
+                (GROUP, 0, naga::TypeInner::Struct { members, span }) => {
+                    declared.uniform_bytes = *span as usize;
+                    declared.members.extend(members.iter().map(|m| Member {
+                        name: m.name.clone().unwrap_or_default(),
+                        offset: m.offset as usize,
+                        type_name: type_name(module, m.ty),
+                        size: layouter[m.ty].size as usize,
+                    }));
+                }
+                (GROUP, b, naga::TypeInner::Image { dim, arrayed, class })
+                    if b % 2 == 1 && b < 2 * TEXTURE_UNITS as u32 =>
+                {
+                    let (dimension, is_depth) = sampled_texture(b, *dim, *arrayed, *class)?;
+                    declared.add_texture((b / 2) as usize, dimension, is_depth);
+                }
+                (GROUP, b, naga::TypeInner::Sampler { comparison })
+                    if b % 2 == 0 && (2..=2 * TEXTURE_UNITS as u32).contains(&b) =>
+                {
+                    declared.add_sampler((b / 2 - 1) as usize, *comparison);
+                }
+                (group, binding, _) => {
+                    return Err(format!(
+                        "group {group} binding {binding} is neither uniforms nor a texture nor a sampler"
+                    ));
+                }
+            }
+        }
+        Ok(declared)
+    }
+
+    /// Adds the texture of a unit, whose sampler may be declared before or after.
+    fn add_texture(&mut self, unit: usize, dimension: wgpu::TextureViewDimension, is_depth: bool) {
+        let unit = &mut self.units[unit];
+        let (has_sampler, compares) = unit.map_or((false, false), |u| (u.has_sampler, u.compares));
+        *unit = Some(UnitLayout { dimension, is_depth, is_filtered: !is_depth, has_sampler, compares });
+    }
+
+    /// Adds the sampler of a unit. A unit without a texture gets a two-dimensional one.
+    fn add_sampler(&mut self, unit: usize, compares: bool) {
+        let unit = &mut self.units[unit];
+        let dimension = wgpu::TextureViewDimension::D2;
+        let before =
+            unit.unwrap_or(UnitLayout { dimension, is_depth: false, is_filtered: true, has_sampler: true, compares });
+        *unit = Some(UnitLayout { has_sampler: true, compares, ..before });
+    }
 }
 
 /// Returns the layout of a binding of the application's own state attribute.

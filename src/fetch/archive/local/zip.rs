@@ -1,4 +1,4 @@
-//! A zip archive in a local file.
+//! A zip archive in a local file. The pager's file threads; calls block.
 
 use std::fs::File;
 use std::io;

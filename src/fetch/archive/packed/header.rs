@@ -1,4 +1,4 @@
-//! The header of a packed set and the table of the pages of its index.
+//! The header of a packed set and the table of the pages of its index. Parses bytes, does no I/O.
 
 use super::page::{ENTRY_BYTES, IndexPage, PackedEntry};
 use crate::fetch::archive::span::{Span, le_uint};

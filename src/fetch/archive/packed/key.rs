@@ -5,8 +5,8 @@ const MAX_LEVEL: u32 = 25;
 /// The kinds of files by the ends of their names; the code of a kind is its place.
 const KINDS: [&str; 10] = ["tileset", "heights", "exr", "glb", "json", "jpg", "png", "webp", "subtree", "scatter.glb"];
 
-/// Returns the key of a file by its name inside the set: `tileset.json`, `LEVEL/X/Y.KIND` or `subtrees/LEVEL/X/Y.subtree`. Returns
-/// `None` for other names, which no packed set has.
+/// Returns the key of a file by its name inside the set: `tileset.json`, `LEVEL/X/Y.KIND` or `subtrees/LEVEL/X/Y.subtree`.
+/// Returns `None` for other names, which no packed set has.
 pub(in crate::fetch::archive) fn key_of(name: &str) -> Option<u64> {
     if name == "tileset.json" {
         return Some(0);

@@ -1,4 +1,4 @@
-//! Directories of a PMTiles file: entries sorted by tile index.
+//! Directories of a PMTiles file: entries sorted by tile index. Parses bytes, does no I/O.
 
 use super::directory_cache::MAX_CACHED_ENTRIES;
 use crate::fetch::archive::span::Span;

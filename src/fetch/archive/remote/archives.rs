@@ -1,4 +1,5 @@
-//! [`RemoteArchives`]: the open archives of a client, and the disk cache for their members.
+//! [`RemoteArchives`]: the open archives of a client, and the disk cache for their members. Runs on the runtime of the HTTP
+//! client.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Instant, SystemTime};

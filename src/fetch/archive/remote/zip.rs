@@ -1,4 +1,4 @@
-//! A zip archive or 3D Tiles archive on a server.
+//! A zip archive or 3D Tiles archive on a server. Runs on the runtime of the HTTP client.
 
 use super::identity::RemoteIdentity;
 use super::part::{MemberName, Part, PartReader, range_of};

@@ -1,4 +1,4 @@
-//! The central directory of a zip file (PKWARE's APPNOTE, 4.3.12 to 4.3.16), with its 64-bit parts.
+//! The central directory of a zip file (PKWARE's APPNOTE, 4.3.12 to 4.3.16), with its 64-bit parts. Parses bytes, does no I/O.
 
 use std::borrow::Cow;
 

@@ -1,5 +1,5 @@
-//! The index of a 3D Tiles archive (3D Tiles Archive Format 1.3): the offset of each file's local header by the MD5 hash of
-//! its path.
+//! The index of a 3D Tiles archive (3D Tiles Archive Format 1.3): the offset of each file's local header by the MD5 hash of its
+//! path. Parses bytes, does no I/O.
 //!
 //! It is a quarter as large as the zip's central directory. An entry is trusted only if the header at its offset has the
 //! wanted name; a file without an entry is looked up in the central directory.

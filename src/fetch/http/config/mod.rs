@@ -1,4 +1,4 @@
-//! Configuration of the HTTP client: timeouts, retries, credentials, options of object stores.
+//! Configuration of the HTTP client: timeouts, retries, credentials, options of object stores. Plain values.
 
 mod allowed;
 mod token;

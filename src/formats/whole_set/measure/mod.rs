@@ -1,6 +1,6 @@
 //! Measures the tiles of a set while it is read, depth first: what a tile draws is compared with the tiles above it, which are
-//! in memory, and its edges with those of neighbours that wait. Threads share the distances of a finest tile. Blocking jobs; not for
-//! frames.
+//! in memory, and its edges with those of neighbours that wait. Threads share the distances of a finest tile. Blocking jobs;
+//! not for frames.
 //!
 //! ```text
 //! place    positions of a set as places on a map with heights
@@ -303,7 +303,8 @@ impl Measuring {
     }
 }
 
-/// Returns for each coarser tile what [`largest_distance_m`] does, on as many threads as there are processors, one tile at a time.
+/// Returns for each coarser tile what [`largest_distance_m`] does, on as many threads as there are processors, one tile at a
+/// time.
 fn largest_distances_m(fine: &Surface, coarse: &[&Surface], processors: usize) -> Vec<Option<f64>> {
     let points: usize = coarse.iter().map(|coarse| fine.vertices.len() + coarse.vertices.len()).sum();
     let others = coarse.len().min(processors).saturating_sub(1);

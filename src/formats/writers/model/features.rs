@@ -1,4 +1,4 @@
-//! [`Features`]: feature ids and property tables of a glb: EXT_mesh_features and EXT_structural_metadata.
+//! [`Features`]: feature ids and property tables of a glb: EXT_mesh_features and EXT_structural_metadata. Any thread.
 
 use std::collections::HashMap;
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! Height tiles as meshes: the grid that the vertex shader displaces, with its skirts.
+//! Height tiles as meshes: the grid that the vertex shader displaces, with its skirts. Any thread.
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 

@@ -1,4 +1,4 @@
-//! [`Images`]: the images, samplers and textures of a glb. Files are kept as they are; other texels are encoded.
+//! [`Images`]: the images, samplers and textures of a glb. Files are kept as they are; other texels are encoded. Any thread.
 
 use std::collections::HashMap;
 use std::io::Cursor;

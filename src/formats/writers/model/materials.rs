@@ -1,4 +1,4 @@
-//! [`Materials`]: the materials of a glb.
+//! [`Materials`]: the materials of a glb, each written once, with the extensions that they need. Any thread.
 
 use std::collections::HashMap;
 use std::sync::Arc;

@@ -1,4 +1,5 @@
-//! Height tiles: blocks of a height array, a colour array and a table buffer, and the grids that tiles share.
+//! Height tiles: blocks of a height array, a colour array and a table buffer, and the grids that tiles share. Used by the
+//! thread of its device.
 
 mod height_grid;
 mod height_pool;

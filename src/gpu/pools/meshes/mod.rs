@@ -1,4 +1,5 @@
-//! Meshes: vertex and index buffers cut into slots, shared meshes and index lists, and the packed vertex formats.
+//! Meshes: vertex and index buffers cut into slots, shared meshes and index lists, and the packed vertex formats. Used by the
+//! thread of its device.
 
 mod arenas;
 mod index_pool;

@@ -1,4 +1,4 @@
-//! Surfaces of the metallic-roughness model: their maps and factors in GPU memory.
+//! Surfaces of the metallic-roughness model: their maps and factors in GPU memory. Used by the thread of its device.
 
 mod surface_pool;
 mod surface_record;

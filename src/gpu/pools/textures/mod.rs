@@ -1,4 +1,4 @@
-//! Textures: the pool of mesh textures, and the textures and samplers of state sets.
+//! Textures: the pool of mesh textures, and the textures and samplers of state sets. Used by the thread of its device.
 
 mod fallback_textures;
 mod image_size;

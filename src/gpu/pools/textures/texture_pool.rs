@@ -1,8 +1,8 @@
 //! [`TexturePool`]: the textures of all meshes of a device, as layers of array textures. Draw thread.
 //!
-//! Images of one size, format, encoding and sampling share a block, which has one bind group. So adapters without bindless textures, such as
-//! software Vulkan, draw many tiles with one bind group too. Equal images are uploaded once and share a layer by reference
-//! count.
+//! Images of one size, format, encoding and sampling share a block, which has one bind group. So adapters without bindless
+//! textures, such as software Vulkan, draw many tiles with one bind group too. Equal images are uploaded once and share a layer
+//! by reference count.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Weak};

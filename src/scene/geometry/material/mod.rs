@@ -1,4 +1,4 @@
-//! Materials as plain CPU data.
+//! Materials as plain CPU data: what decoders fill in, and what the device makes pipelines, records and textures of.
 
 mod layers;
 

@@ -113,8 +113,8 @@ impl Splats {
         self.cut(MAX_BUFFER_BYTES / splat_bytes)
     }
 
-    /// Cuts a cloud into some of at most `max_splats`: again and again at the median along the longest side, so that clouds can be
-    /// sorted by their middles. Splats keep their order within each.
+    /// Cuts a cloud into some of at most `max_splats`: again and again at the median along the longest side, so that clouds can
+    /// be sorted by their middles. Splats keep their order within each.
     fn cut(self, max_splats: usize) -> Vec<Self> {
         if self.list.len() <= max_splats.max(1) {
             return vec![self];

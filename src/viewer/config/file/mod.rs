@@ -1,4 +1,4 @@
-//! Configuration files of windows and views, in JSON.
+//! Configuration files of windows and views, in JSON. Read on the main thread before windows open.
 //!
 //! ```json
 //! { "windows": [

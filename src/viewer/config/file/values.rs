@@ -1,4 +1,4 @@
-//! Values of a configuration file with their limits, read by serde.
+//! Values of a configuration file with their limits, read by serde. Main thread.
 //!
 //! serde's own types accept more than the format allows: structs from lists, `null` for optional fields, lists of any
 //! length. These types refuse that, and their messages say what was expected.

@@ -1,4 +1,4 @@
-//! The views and scenes of a configuration file; the module [`file`](super) documents the format.
+//! The views and scenes of a configuration file; the module [`file`](super) documents the format. Main thread.
 
 use std::collections::BTreeMap;
 use std::fmt;

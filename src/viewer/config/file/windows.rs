@@ -1,4 +1,4 @@
-//! The windows of a configuration file and their cameras; the module [`file`](super) documents the format.
+//! The windows of a configuration file and their cameras; the module [`file`](super) documents the format. Main thread.
 
 use glam::{DAffine3, DMat4, DQuat, DVec3, EulerRot};
 use serde::Deserialize;

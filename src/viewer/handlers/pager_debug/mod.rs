@@ -1,4 +1,4 @@
-//! The debug view of the pager: boxes of tiles, coloured by level or state.
+//! The debug view of the pager: boxes of tiles, coloured by level or state. Main thread, in update.
 
 #[cfg(feature = "window")]
 mod boxes;

@@ -1,4 +1,4 @@
-//! Statistics over the image: frame rate, phases, draw counters and pager counters.
+//! Statistics over the image: frame rate, phases, draw counters and pager counters. Main thread, in the event phase.
 
 #[cfg(feature = "window")]
 mod fit;

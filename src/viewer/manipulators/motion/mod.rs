@@ -1,4 +1,4 @@
-//! Motion of the pointer and of fingers, and how it continues after the release.
+//! Motion of the pointer and of fingers, and how it continues after the release. Main thread.
 
 mod eased;
 mod image_plane;

@@ -1,4 +1,4 @@
-//! [`Pinch`]: the gesture of several fingers.
+//! [`Pinch`]: the gesture of several fingers on a touch screen or pad. Main thread.
 //!
 //! It is the shift, stretch and rotation of the image that best moves the fingers' old positions to their new ones. With two
 //! fingers the fit is exact, with more it is a least-squares fit. Each event is applied at once, so the result does not

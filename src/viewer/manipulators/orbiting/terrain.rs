@@ -1,4 +1,4 @@
-//! [`TerrainManipulator`]: orbits a point on the ground, and keeps the eye above the ground.
+//! [`TerrainManipulator`]: orbits a point on the ground, and keeps the eye above the ground. Main thread.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -24,8 +24,8 @@ const SETTLES_S: f64 = 0.15;
 /// Moves over terrain: a drag moves along the ground, with the vertical upright and the eye above the ground. OSG's
 /// `TerrainManipulator`.
 ///
-/// The ground comes from the view's [`GroundHeight`](crate::viewer::manipulators::GroundHeight). Without it the point moves at its own
-/// height above the ellipsoid or plane.
+/// The ground comes from the view's [`GroundHeight`](crate::viewer::manipulators::GroundHeight). Without it the point moves at
+/// its own height above the ellipsoid or plane.
 #[derive(Clone, Copy, Debug)]
 pub struct TerrainManipulator {
     /// The minimum height of the eye above the ground, metres.

@@ -1,4 +1,4 @@
-//! [`TrackballManipulator`]: the pointer turns a ball around the point that the eye looks at.
+//! [`TrackballManipulator`]: the pointer turns a ball around the point that the eye looks at. Main thread.
 
 use std::f64::consts::PI;
 

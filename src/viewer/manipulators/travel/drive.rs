@@ -1,4 +1,4 @@
-//! [`DriveManipulator`]: drives over the ground.
+//! [`DriveManipulator`]: drives over the ground and keeps the eye above it. Main thread.
 
 use glam::{DAffine3, DVec3};
 

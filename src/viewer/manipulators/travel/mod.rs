@@ -1,4 +1,4 @@
-//! Manipulators that move the eye itself: flying, walking and driving.
+//! Manipulators that move the eye itself: flying, walking and driving. Main thread.
 
 mod drive;
 mod first_person;

@@ -1,12 +1,11 @@
 //! The reference image of a flight: a new viewer draws the same camera from files without faults.
 
 use std::time::{Duration, Instant};
-use terrane::scene::Environment;
 
 use anyhow::{Result, bail};
 use image::RgbaImage;
-
 use terrane::pager::PagerConfig;
+use terrane::scene::Environment;
 use terrane::viewer::{Camera, ThreadingModel, Viewer, ViewerConfig};
 
 /// The duration of a frame while the flight settles. Requests wait for times, not for a number of frames.

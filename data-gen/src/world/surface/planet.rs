@@ -2,10 +2,11 @@
 
 use terrane::math::{Ellipsoid, WGS84};
 
-use super::points::{Meridian, Points, RADIUS_M, meridians, sin_cos};
-use super::preset::{Flow, Parameters, WorldPreset};
-use super::relief::{Basin, Drainage, Ground, Network, Scratch};
-use super::surface::{FROZEN_C, Lattice, MARGIN, WINDWARD_M, Weather};
+use super::super::points::{Meridian, Points, RADIUS_M, meridians, sin_cos};
+use super::super::preset::{Flow, Parameters, WorldPreset};
+use super::super::relief::{Basin, Drainage, Ground, Network, Scratch};
+use super::climate::{FROZEN_C, WINDWARD_M, Weather};
+use super::patch_lattice::{Lattice, MARGIN};
 
 /// The equatorial radii of bodies with worlds in metres.
 const RADII_M: std::ops::RangeInclusive<f64> = 1e4..=2e7;
@@ -15,16 +16,16 @@ const MAX_STEP: f64 = 0.5;
 /// A planet made from a preset and a seed. Everything about a position depends on these and on the position only.
 #[derive(Clone, Debug)]
 pub struct World {
-    pub(super) seed: u64,
-    pub(super) parameters: Parameters,
+    pub(in crate::world) seed: u64,
+    pub(in crate::world) parameters: Parameters,
     /// The ellipsoid that tiles lie on.
-    pub(super) ellipsoid: Ellipsoid,
+    pub(in crate::world) ellipsoid: Ellipsoid,
     drainage: Drainage,
 }
 
 /// Buffers for rows. Each thread has its own.
 #[derive(Clone, Debug, Default)]
-pub(super) struct RowBuffers {
+pub(in crate::world) struct RowBuffers {
     points: Points,
     scratch: Scratch,
     pub network: Network,
@@ -50,12 +51,12 @@ impl World {
     }
 
     /// Returns the radius in metres of the sphere that the noise is sampled on.
-    pub(super) fn radius_m(&self) -> f64 {
+    pub(in crate::world) fn radius_m(&self) -> f64 {
         radius_of(&self.ellipsoid)
     }
 
     /// Returns the meridians of longitudes some way against the wind.
-    pub(super) fn windward(&self, longitudes: impl Iterator<Item = f64>) -> Vec<Meridian> {
+    pub(in crate::world) fn windward(&self, longitudes: impl Iterator<Item = f64>) -> Vec<Meridian> {
         let step = WINDWARD_M / self.radius_m();
         meridians(longitudes.map(|longitude| longitude + step))
     }
@@ -88,12 +89,12 @@ impl World {
         best.1
     }
 
-    pub(super) fn basin(&self) -> Basin<'_> {
+    pub(in crate::world) fn basin(&self) -> Basin<'_> {
         Basin { relief: &self.parameters.relief, drainage: &self.drainage, seed: self.seed }
     }
 
     /// Computes the ground of a row.
-    pub(super) fn ground_row(&self, meridians: &[Meridian], latitude: f64, row: &mut RowBuffers) {
+    pub(in crate::world) fn ground_row(&self, meridians: &[Meridian], latitude: f64, row: &mut RowBuffers) {
         self.set_points(meridians, latitude, row);
         let relief = &self.parameters.relief;
         relief.row(self.basin(), &row.points, &mut row.network, &mut row.scratch, &mut row.ground);
@@ -105,23 +106,29 @@ impl World {
     }
 
     /// Returns true if there is open water anywhere.
-    pub(super) fn has_water(&self) -> bool {
+    pub(in crate::world) fn has_water(&self) -> bool {
         self.parameters.climate.has_life && self.parameters.relief.rivers.flow != Flow::Dry
     }
 
     /// Returns true if most of the sea at a latitude is ice.
-    pub(super) fn is_sea_frozen(&self, latitude: f64) -> bool {
+    pub(in crate::world) fn is_sea_frozen(&self, latitude: f64) -> bool {
         self.parameters.climate.mean_c(sin_cos(latitude).0.abs() as f32) < FROZEN_C
     }
 
     /// Returns true if samples that are some metres apart show rivers and lakes.
-    pub(super) fn has_rivers(&self, step_m: f64) -> bool {
+    pub(in crate::world) fn has_rivers(&self, step_m: f64) -> bool {
         self.parameters.relief.rivers.spacing_m <= 0.0 || step_m < MAX_STEP * self.drainage.spacing_m()
     }
 
     /// Computes the ground of a row of samples that are some metres apart, without rivers and lakes where these are closer
     /// than [`MAX_STEP`]: each sample would need a network of its own, and a cell could not show what it finds.
-    pub(super) fn ground_row_of(&self, meridians: &[Meridian], latitude: f64, step_m: f64, row: &mut RowBuffers) {
+    pub(in crate::world) fn ground_row_of(
+        &self,
+        meridians: &[Meridian],
+        latitude: f64,
+        step_m: f64,
+        row: &mut RowBuffers,
+    ) {
         if self.has_rivers(step_m) {
             return self.ground_row(meridians, latitude, row);
         }
@@ -130,7 +137,7 @@ impl World {
     }
 
     /// Finds the rivers and lakes of a patch of `cells` cells along a side. Rows that need more of them find these themselves.
-    pub(super) fn find_rivers(&self, lattice: &Lattice, cells: usize, row: &mut RowBuffers) {
+    pub(in crate::world) fn find_rivers(&self, lattice: &Lattice, cells: usize, row: &mut RowBuffers) {
         let spacing_m = self.drainage.spacing_m();
         let relief = &self.parameters.relief;
         if relief.rivers.spacing_m <= 0.0 || !self.has_rivers(lattice.step_m()) {
@@ -158,7 +165,7 @@ impl World {
     }
 
     /// Computes the climate of a row from its ground; `windward` are meridians some way against the wind.
-    pub(super) fn weather_row(
+    pub(in crate::world) fn weather_row(
         &self,
         points: &Points,
         windward: &[Meridian],

@@ -1,4 +1,4 @@
-//! Reference counts of the contents that pages share, and their memory, each content once.
+//! Reference counts of the contents that pages share, and their memory, each content once. Update thread.
 
 use std::collections::HashMap;
 
@@ -29,14 +29,14 @@ impl Content {
 
 /// Shared contents by key; looked up by key, and iterated only when a context closes.
 #[derive(Debug, Default)]
-pub(super) struct SharedContent {
+pub(super) struct ContentUsers {
     by_key: HashMap<ContentKey, Content>,
     merged: MemoryUse,
     all: MemoryUse,
     saved: MemoryUse,
 }
 
-impl SharedContent {
+impl ContentUsers {
     /// Returns the memory of the contents that merged pages use.
     pub fn merged(&self) -> MemoryUse {
         self.merged
