@@ -20,6 +20,8 @@ const MAX_BLOCK: u32 = 2048;
 const ENTRY_BYTES: usize = 128;
 const BLOCK_BYTES: u64 = 14;
 const PACKED_HEAD_BYTES: usize = 13;
+/// The bytes before the bits that tell which blocks of another file were written.
+const FLAGS_HEAD_BYTES: u64 = 20;
 
 /// Reads numbers one after another.
 struct Fields<'a>(&'a [u8]);
@@ -190,12 +192,31 @@ impl Tree {
     }
 }
 
+/// The blocks of a band.
+enum Blocks {
+    /// In the file itself, with a table of them at this position.
+    Listed(u64),
+    /// In another file beside it (`.ige`), whose blocks are not compressed.
+    Beside(Beside),
+}
+
+/// The blocks of a band in another file.
+struct Beside {
+    path: PathBuf,
+    state: FileState,
+    /// The positions of the bits that tell which blocks were written, and of the first block.
+    flags: u64,
+    first: u64,
+    /// The number of bands in the file, and the number of this one from 0 on.
+    bands: u64,
+    band: u64,
+}
+
 /// A band.
 struct Band {
     grid: BlockGrid,
     sample: Sample,
-    /// The position of the table of blocks in the file.
-    table: u64,
+    blocks: Blocks,
     nodata: Option<f64>,
     transform: GeoTransform,
     system: Option<String>,
@@ -213,7 +234,7 @@ struct Erdas {
 pub(super) fn open(path: &Path, options: &RasterOptions, cache: &Arc<BlockCache>) -> Result<Opened, GenError> {
     let state = FileState::of(path)?;
     let file = File::open(path).map_err(GenError::file(path))?;
-    let band = band(Tree { file, length: state.bytes() }, options).map_err(|reason| bad(path, &reason))?;
+    let band = band(path, Tree { file, length: state.bytes() }, options).map_err(|reason| bad(path, &reason))?;
     let metadata = match &band.system {
         Some(text) => Metadata::of_system(path, text),
         None => Metadata::beside(path, cache)?,
@@ -229,7 +250,7 @@ fn bad(path: &Path, reason: &dyn std::fmt::Display) -> GenError {
 }
 
 /// Reads the entries of a band. The error is the reason.
-fn band(mut tree: Tree, options: &RasterOptions) -> Result<Band, String> {
+fn band(path: &Path, mut tree: Tree, options: &RasterOptions) -> Result<Band, String> {
     let header = tree.read(16, 4)?;
     let header = tree.read(Fields(&header).long()?.into(), 18)?;
     let root = tree.entry(Fields(&header[8..]).long()?)?;
@@ -259,15 +280,19 @@ fn band(mut tree: Tree, options: &RasterOptions) -> Result<Band, String> {
     let [across, down] = grid.blocks();
     let parts = tree.children(&layer)?;
     let part = |name: &str| parts.iter().find(|entry| entry.name == name);
-    let Some(blocks) = part("RasterDMS") else {
-        return Err("its samples are in another file (.ige); gdal_translate writes it as GeoTIFF".to_owned());
+    let blocks = match (part("RasterDMS"), part("ExternalRasterDMS")) {
+        (Some(entry), _) => {
+            let content = tree.content(entry)?;
+            let mut fields = Fields(content.get(14..).unwrap_or_default());
+            let (count, table) = (fields.long()? as usize, fields.long()?);
+            if count < across * down || u64::from(table) + count as u64 * BLOCK_BYTES > tree.length {
+                return Err(format!("a table of {count} blocks for {across} x {down}"));
+            }
+            Blocks::Listed(table.into())
+        }
+        (None, Some(entry)) => Blocks::Beside(Beside::read(path, &tree.content(entry)?)?),
+        (None, None) => return Err("a band without samples".to_owned()),
     };
-    let table = tree.content(blocks)?;
-    let mut fields = Fields(table.get(14..).unwrap_or_default());
-    let (count, table) = (fields.long()? as usize, fields.long()?);
-    if count < across * down || u64::from(table) + count as u64 * BLOCK_BYTES > tree.length {
-        return Err(format!("a table of {count} blocks for {across} x {down}"));
-    }
     let nodata = part("Eimg_NonInitializedValue").map(|entry| tree.content(entry)).transpose()?;
     let nodata = nodata.and_then(|content| nodata_of(&content));
     let map = part("Map_Info").map(|entry| tree.content(entry)).transpose()?.ok_or("no georeference")?;
@@ -285,7 +310,7 @@ fn band(mut tree: Tree, options: &RasterOptions) -> Result<Band, String> {
             Err(reason) => return Err(reason),
         };
     }
-    Ok(Band { grid, sample: Sample::of(kind)?, table: table.into(), nodata, transform, system })
+    Ok(Band { grid, sample: Sample::of(kind)?, blocks, nodata, transform, system })
 }
 
 /// Returns the value of samples without data: a matrix of one number.
@@ -408,12 +433,52 @@ fn unpack(bytes: &[u8], sample: Sample, count: usize) -> Result<Vec<f64>, String
     if found.len() == count { Ok(found) } else { Err(format!("a block has {} of {count} samples", found.len())) }
 }
 
+impl Beside {
+    /// Reads the entry that names the file. The error is the reason.
+    fn read(path: &Path, content: &[u8]) -> Result<Self, String> {
+        let mut fields = Fields(content);
+        let name = fields.text()?;
+        // It lies beside the file, wherever it was written.
+        let name = name.rsplit(['/', '\\']).next().unwrap_or_default();
+        let path = path.with_file_name(name);
+        let state = FileState::of(&path).map_err(|e| e.to_string())?;
+        let mut double_long = || Ok::<_, String>(u64::from(fields.long()?) | u64::from(fields.long()?) << 32);
+        let (flags, first) = (double_long()?, double_long()?);
+        let [bands, band] = [fields.long()?, fields.long()?].map(u64::from);
+        Ok(Self { path, state, flags, first, bands, band })
+    }
+
+    /// Returns the bytes of a block; `None` for one that was never written. The error is the reason.
+    fn block(&self, grid: &BlockGrid, index: u64, bytes: usize) -> Result<Option<Vec<u8>>, String> {
+        self.state.check(&self.path).map_err(|e| e.to_string())?;
+        let file = File::open(&self.path).map_err(|e| format!("{}: {e}", self.path.display()))?;
+        let mut tree = Tree { file, length: self.state.bytes() };
+        let across = grid.blocks()[0] as u64;
+        let (row, column) = (index / across, index % across);
+        let beyond = || "a block beyond the file".to_owned();
+        let at = self.flags.checked_add(FLAGS_HEAD_BYTES + row * across.div_ceil(8) + column / 8).ok_or_else(beyond)?;
+        if tree.read(at, 1)?[0] >> (column % 8) & 1 == 0 {
+            return Ok(None);
+        }
+        let block = index.checked_mul(self.bands).and_then(|block| block.checked_add(self.band));
+        let at = block.and_then(|block| block.checked_mul(bytes as u64)?.checked_add(self.first)).ok_or_else(beyond)?;
+        tree.read(at, bytes).map(Some)
+    }
+}
+
 impl Erdas {
     /// Reads all samples of the block with an index; `None` for one that was never written. The error is the reason.
     fn block(&self, index: u64) -> Result<Option<Vec<f64>>, String> {
+        let Band { grid, sample, blocks, .. } = &self.band;
+        let count = grid.block[0] * grid.block[1];
+        let plain_bytes = (count * sample.bits()).div_ceil(8);
+        let plain = |bytes: Vec<u8>| (0..count).map(|k| sample.at(&bytes, k)).collect::<Vec<f64>>();
+        let table = match blocks {
+            Blocks::Listed(table) => table,
+            Blocks::Beside(beside) => return Ok(beside.block(grid, index, plain_bytes)?.map(plain)),
+        };
         let file = File::open(&self.path).map_err(|e| e.to_string())?;
         let mut tree = Tree { file, length: self.state.bytes() };
-        let Band { grid, sample, table, .. } = &self.band;
         let entry = tree.read(table + index * BLOCK_BYTES, BLOCK_BYTES as usize)?;
         let mut fields = Fields(&entry);
         let (_, at, length) = (fields.short()?, fields.long()?, fields.long()? as usize);
@@ -421,13 +486,8 @@ impl Erdas {
         if is_valid == 0 {
             return Ok(None);
         }
-        let count = grid.block[0] * grid.block[1];
-        let plain_bytes = (count * sample.bits()).div_ceil(8);
         match compression {
-            0 => {
-                let bytes = tree.read(at.into(), plain_bytes)?;
-                Ok(Some((0..count).map(|k| sample.at(&bytes, k)).collect()))
-            }
+            0 => tree.read(at.into(), plain_bytes).map(|bytes| Some(plain(bytes))),
             // Blocks that do not shrink are a little longer.
             1 if *sample != Sample::F64 && length <= 2 * plain_bytes + MAX_ENTRY_BYTES => {
                 unpack(&tree.read(at.into(), length)?, *sample, count).map(Some)

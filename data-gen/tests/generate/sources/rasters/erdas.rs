@@ -89,6 +89,10 @@ fn projection(number: u32, zone: u32, parameters: [f64; 15]) -> Vec<u8> {
     [vec![0, 0], longs(&[number]), exe, name, longs(&[zone, 15, 0]), doubles(&parameters), sphere].concat()
 }
 
+fn at_pixel(raster: &Raster, column: f64, row: f64) -> f32 {
+    at(raster, 7.25 + 0.5 * column, 46.75 - 0.5 * row)
+}
+
 #[test]
 fn blocks_of_each_kind_are_decoded() {
     let folder = tempfile::tempdir().unwrap();
@@ -98,7 +102,7 @@ fn blocks_of_each_kind_are_decoded() {
     let raster = Raster::read(&path).unwrap();
     assert_eq!((raster.size(), raster.range_m().unwrap()), ([7, 6], [-5.0, 300.0]));
     check_bounds(&raster, [7.25, 44.25, 10.25, 46.75]);
-    let pixel = |column: f64, row: f64| at(&raster, 7.25 + 0.5 * column, 46.75 - 0.5 * row);
+    let pixel = |column: f64, row: f64| at_pixel(&raster, column, row);
     assert_eq!([pixel(0.0, 0.0), pixel(3.0, 2.0), pixel(1.0, 3.0)], [100.0, 111.0, 113.0]);
     assert_eq!([pixel(4.0, 0.0), pixel(6.0, 2.0), pixel(5.0, 3.0)], [207.0, 207.0, 300.0]);
     assert_eq!([pixel(0.0, 4.0), pixel(2.0, 5.0), pixel(3.0, 4.0)], [-5.0, -3.0, -2.0]);
@@ -116,6 +120,38 @@ fn blocks_of_each_kind_are_decoded() {
         fs::write(&path, damaged).unwrap();
         let _ = Raster::read(&path).and_then(|raster| raster.range_m());
     }
+}
+
+/// Files of more than 2 GB have their samples in another one.
+#[test]
+fn blocks_are_read_from_the_file_beside() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("large.img");
+    let mut whole = file(&projection(0, 0, [0.0; 15]));
+    // The second of two bands, in a file that was written elsewhere.
+    let name = "C:\\data\\large.ige";
+    let content = [text(name), longs(&[4, 0, 100, 0, 2, 1])].concat();
+    let at = whole.len() as u32;
+    whole.extend(&content);
+    let entry = whole.windows(10).position(|w| w == b"RasterDMS\0").unwrap();
+    whole[entry..][..18].copy_from_slice(b"ExternalRasterDMS\0");
+    whole[entry - 8..][..8].copy_from_slice(&longs(&[at, content.len() as u32]));
+    fs::write(&path, &whole).unwrap();
+    assert!(error(&path, &usual()).contains("large.ige"));
+    let mut samples = vec![0; 100];
+    // A byte of flags for each row of blocks: the last block was never written.
+    samples[24..26].copy_from_slice(&[0b11, 0b01]);
+    for k in 0..8i16 {
+        samples.extend((0..16).flat_map(|_| (10 * k).to_le_bytes()));
+    }
+    let beside = folder.path().join("large.ige");
+    fs::write(&beside, &samples).unwrap();
+    let raster = Raster::read(&path).unwrap();
+    let pixel = |column: f64, row: f64| at_pixel(&raster, column, row);
+    assert_eq!([pixel(0.0, 0.0), pixel(5.0, 1.0), pixel(2.0, 5.0)], [10.0, 30.0, 50.0]);
+    assert!(pixel(5.0, 5.0).is_nan());
+    fs::write(&beside, &samples[..280]).unwrap();
+    assert!(error(&path, &usual()).contains("and more are needed"));
 }
 
 #[test]
