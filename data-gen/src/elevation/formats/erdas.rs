@@ -115,12 +115,16 @@ impl Sample {
         }
     }
 
-    /// Returns the value of a sample of a compressed block.
+    /// Returns the value of a sample of a compressed block. Its highest bits do not count if it has fewer than 32.
     fn of_bits(self, bits: u32) -> f64 {
         match self {
             Self::F32 => f64::from(f32::from_bits(bits)),
-            Self::I8 | Self::I16 | Self::I32 => f64::from(bits as i32),
-            _ => f64::from(bits),
+            Self::I8 => f64::from(bits as i8),
+            Self::I16 => f64::from(bits as i16),
+            Self::I32 => f64::from(bits as i32),
+            Self::Bits(_) | Self::U8 => f64::from(bits as u8),
+            Self::U16 => f64::from(bits as u16),
+            Self::U32 | Self::F64 => f64::from(bits),
         }
     }
 }

@@ -167,7 +167,7 @@ pub(super) fn open_overview(
 /// Returns a word about a format that is not read, by a file's first bytes.
 fn converted_first(magic: &[u8]) -> Option<String> {
     let name = match magic {
-        [b'P', b'D', b'S', b'_', ..] => {
+        [b'P', b'D', b'S', b'_', ..] | [b'C', b'C', b'S', b'D', ..] => {
             return Some("a label of NASA's PDS; name the file of its samples, beside which the label is".to_owned());
         }
         [b'L', b'A', b'S', b'F', ..] => {

@@ -74,15 +74,18 @@ fn bad(path: &Path, reason: impl std::fmt::Display) -> GenError {
     GenError::invalid(path, format!("VRT: {reason}"))
 }
 
-/// Returns a virtual raster and the pieces of the band with heights, each with the number of its pixels that one of its image is
-/// as wide and as high as: 1, unless `coarser` says how coarse overviews may be.
+/// The pieces of a band, each with the width and the height of a pixel of its image in pixels of the virtual raster: 1, unless the
+/// image is an overview.
+type Pieces = Vec<(Piece, [f64; 2])>;
+
+/// Returns a virtual raster and the pieces of the band with heights. `coarser` is how coarse overviews may be.
 fn pieces(
     path: &Path,
     options: &RasterOptions,
     context: &Arc<SourceContext>,
     depth: usize,
     coarser: Option<[f64; 2]>,
-) -> Result<(VirtualRaster, Vec<(Piece, [f64; 2])>), GenError> {
+) -> Result<(VirtualRaster, Pieces), GenError> {
     if depth >= MAX_DEPTH {
         let reason = format!("more than {MAX_DEPTH} virtual rasters inside of one another, or a loop of them");
         return Err(bad(path, reason));
@@ -147,7 +150,7 @@ fn pieces(
         let image = Arc::new(PixelImage::new(opened.grid, Box::new(scaled), &context.cache));
         Ok((Piece { image, from, to }, wider))
     };
-    let pieces: Result<Vec<_>, GenError> = raster.bands[number - 1].sources.par_iter().map(piece).collect();
+    let pieces: Result<Pieces, GenError> = raster.bands[number - 1].sources.par_iter().map(piece).collect();
     let pieces = pieces?;
     Ok((raster, pieces))
 }

@@ -12,6 +12,8 @@ use crate::store::{BlockCache, text_of, with_extension};
 
 /// The name of the first value of a label.
 const FIRST: &str = "PDS_VERSION_ID";
+/// The bytes in which a label begins.
+const START_BYTES: usize = 256;
 /// The largest difference of a side from what the edges and the resolution say, in samples.
 const TOLERANCE: f64 = 0.5;
 /// The largest share of the radius by which an offset differs from it, if the samples are distances from the body's middle.
@@ -19,7 +21,9 @@ const NEAR_RADIUS: f64 = 0.1;
 
 /// Returns the header beside the samples, and its file. `None` without one.
 pub(super) fn header(path: &Path, cache: &Arc<BlockCache>) -> Result<Option<(PathBuf, Header)>, GenError> {
-    let is_label = |bytes: &[u8]| bytes.trim_ascii_start().starts_with(FIRST.as_bytes());
+    // A line of another standard may come first.
+    let is_label =
+        |bytes: &[u8]| bytes[..bytes.len().min(START_BYTES)].windows(FIRST.len()).any(|part| part == FIRST.as_bytes());
     let beside = with_extension(path, "lbl");
     if beside == path {
         return Ok(None);

@@ -93,7 +93,7 @@ fn images_of_the_pds_are_heights_above_the_radius() {
     let path = folder.path().join("ldem.img");
     let samples = [0i16, 0, 0, 10, 20, 30, 110, -9999, 130];
     fs::write(&path, samples.map(i16::to_le_bytes).concat()).unwrap();
-    let label = "PDS_VERSION_ID = PDS3\r\nRECORD_BYTES = 6\r\n^IMAGE = (\"LDEM.IMG\", 2)\r\nOBJECT = IMAGE\r\n  LINES = 2\r\n\
+    let label = "CCSD3ZF0000100000001NJPL3IF0PDS200000001 = SFDU_LABEL\r\nPDS_VERSION_ID = PDS3\r\nRECORD_BYTES = 6\r\n^IMAGE = (\"LDEM.IMG\", 2)\r\nOBJECT = IMAGE\r\n  LINES = 2\r\n\
                  LINE_SAMPLES = 3 /* columns */\r\n  SAMPLE_TYPE = LSB_INTEGER\r\n  SAMPLE_BITS = 16\r\n  UNIT = METER\r\n\
                  SCALING_FACTOR = 0.5\r\n  OFFSET = 1737400.\r\n  MISSING_CONSTANT = -9999\r\nEND_OBJECT = IMAGE\r\n\
                  OBJECT = IMAGE_MAP_PROJECTION\r\n  MAP_PROJECTION_TYPE = \"SIMPLE CYLINDRICAL\"\r\n\

@@ -64,7 +64,7 @@ impl Grid<'_> {
             file.add_variable_attribute(variable, "grid_mapping", NcAttrValue::Chars("crs: lat lon".into())).unwrap();
         }
         if matches!(format, NcWriteFormat::Nc4) {
-            file.set_variable_chunking(variable, &[2, 3]).unwrap();
+            file.set_variable_chunking(variable, [2, 3]).unwrap();
             file.set_variable_shuffle(variable, true).unwrap();
             file.set_variable_deflate(variable, Some(4), true).unwrap();
         }
