@@ -54,8 +54,8 @@ pub enum Voids {
 pub struct GenArgs {
     /// Folder to write, or a folder in a bucket: s3://BUCKET/FOLDER, gs://... or az://...
     pub out: PathBuf,
-    /// Elevation: GeoTIFF, VRT, HGT (also in a zip file), DTED, PNG, PMTiles, MBTiles, EXR, ASCII grid, XYZ, or plain samples
-    /// with a .hdr file; a folder of them or of web tiles z/x/y.png; a pattern such as "*.tif"; a text file with a path in each
+    /// Elevation: GeoTIFF, VRT, HGT (also in a zip file), DTED, netCDF, Erdas Imagine, PNG, PMTiles, MBTiles, EXR, ASCII grid, XYZ, a
+    /// grid of Surfer or SAGA, or plain samples with a .hdr file; a folder of them or of web tiles z/x/y.png; a pattern such as "*.tif"; a text file with a path in each
     /// line; the address of a GeoTIFF or of PMTiles (https, s3). Where files overlap, the first with data wins
     #[arg(long, value_name = "FILE", num_args = 1..)]
     pub dem: Vec<PathBuf>,
@@ -65,16 +65,16 @@ pub struct GenArgs {
     /// Value of elevation samples without data, beside the one that a file declares
     #[arg(long, value_name = "V", allow_negative_numbers = true)]
     pub nodata: Option<f64>,
-    /// Channel with heights: a name in EXR files, after PART: if there are several parts; a number from 1 in GeoTIFF
+    /// Channel with heights: a name in EXR files, after PART: if there are several parts, and in netCDF; a number from 1 in GeoTIFF
     #[arg(long, value_name = "NAME")]
     pub channel: Option<String>,
     /// Meaning of the colours of PNGs
     #[arg(long, value_enum, default_value_t)]
     pub encoding: HeightEncoding,
-    /// Metres for each step of grey PNGs, or for each unit of EXR files
+    /// Metres for each step of grey PNGs, or for each unit of EXR files; a factor of the heights of other rasters
     #[arg(long, value_name = "M", allow_negative_numbers = true)]
     pub height_scale: Option<f64>,
-    /// Metres that are added to the scaled heights of grey PNGs and EXR files
+    /// Metres that are added to the scaled heights
     #[arg(long, value_name = "M", default_value_t = 0.0, allow_negative_numbers = true)]
     pub height_offset: f64,
     /// Width in metres of the band in which an elevation file blends into those below it

@@ -3,6 +3,8 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use netcdf_reader::NcFile;
+
 use crate::georeference::geotiff::Tiff;
 use crate::georeference::{DatumGrid, Geoid};
 use crate::store::{BlockCache, Pool};
@@ -14,6 +16,7 @@ pub const DEFAULT_CACHE_BYTES: usize = 256 << 20;
 pub(crate) struct SourceContext {
     pub cache: Arc<BlockCache>,
     pub tiffs: Pool<Tiff>,
+    pub netcdfs: Pool<NcFile>,
     /// The surface that heights are measured from; `None` for the ellipsoid.
     pub geoid: Option<Geoid>,
     /// The grid that shifts datums to WGS84.
@@ -25,7 +28,14 @@ pub(crate) struct SourceContext {
 impl SourceContext {
     /// Creates the context of a run that keeps decoded blocks in a cache.
     pub fn new(cache: Arc<BlockCache>, geoid: Option<Geoid>, datum_grid: Option<Arc<DatumGrid>>) -> Arc<Self> {
-        Arc::new(Self { cache, tiffs: Pool::new(), geoid, datum_grid, seen: HeightRange::default() })
+        Arc::new(Self {
+            cache,
+            tiffs: Pool::new(),
+            netcdfs: Pool::new(),
+            geoid,
+            datum_grid,
+            seen: HeightRange::default(),
+        })
     }
 }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::context::SourceContext;
-use super::formats::RasterOptions;
+use super::formats::{RasterOptions, is_text_raster};
 use super::raster::Raster;
 use crate::GenError;
 use crate::store::is_remote;
@@ -15,7 +15,7 @@ use crate::web_tiles::{TileContent, is_folder_of_tiles};
 /// The extensions of elevation files in folders.
 const ELEVATION: &[&str] = &[
     "tif", "tiff", "hgt", "zip", "gz", "asc", "png", "exr", "pmtiles", "mbtiles", "dt0", "dt1", "dt2", "bil", "bip",
-    "bsq", "flt", "xyz",
+    "bsq", "flt", "xyz", "nc", "grd", "sdat", "img",
 ];
 /// The extensions of imagery in folders.
 const IMAGERY: &[&str] = &["tif", "tiff", "png", "jpg", "jpeg", "webp", "pmtiles", "mbtiles"];
@@ -53,7 +53,10 @@ pub(crate) fn expand(paths: &[PathBuf], content: TileContent) -> Result<Vec<Path
                 return Err(GenError::invalid(path, "no file matches"));
             }
             files.extend(found);
-        } else if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("txt")) && path.is_file() {
+        } else if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("txt"))
+            && path.is_file()
+            && !(content == TileContent::Heights && is_text_raster(path)?)
+        {
             let text = std::fs::read_to_string(path).map_err(GenError::file(path))?;
             let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
             let folder = path.parent().unwrap_or(Path::new(""));

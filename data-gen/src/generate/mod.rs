@@ -192,7 +192,10 @@ pub(crate) fn run_with(args: &GenArgs, old: &dyn OldSet) -> Result<Summary, GenE
         if !shards::is_made(&out, fingerprint) {
             return Err(GenError::Exists(out));
         }
-        return Ok(Summary { out, notes: vec!["the shard was complete".to_owned()], ..Summary::default() });
+        let none = [f64::INFINITY, f64::NEG_INFINITY];
+        let [min_height_m, max_height_m] = none;
+        let notes = vec!["the shard was complete".to_owned()];
+        return Ok(Summary { out, notes, min_height_m, max_height_m, ..Summary::default() });
     }
     let made = pool.install(|| make(args, &out, old, fingerprint, partial.path()));
     let is_same = || self::fingerprint(args).is_ok_and(|now| now == fingerprint);

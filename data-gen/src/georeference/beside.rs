@@ -184,8 +184,9 @@ pub(crate) fn files_beside(raster: &Path) -> Vec<PathBuf> {
     let replaced = replaced.map(|extension| with_extension(raster, &extension));
     let more = ["aux.xml", "msk", "ovr", "msk.ovr"].map(|extension| with_more(raster, extension));
     // Plain samples with a header are read from disks only.
-    let headers = [with_extension(raster, "hdr"), with_more(raster, "hdr")];
-    let headers = headers.into_iter().filter(|_| !is_remote(raster));
+    let headers = ["hdr", "sgrd", "lbl", "ige"].map(|extension| with_extension(raster, extension));
+    let headers = headers.into_iter().chain([with_more(raster, "hdr")]);
+    let headers = headers.filter(|_| !is_remote(raster));
     replaced.chain(more).chain(headers).filter(|path| is_remote(path) || path.is_file()).collect()
 }
 

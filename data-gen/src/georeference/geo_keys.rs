@@ -16,13 +16,17 @@ pub(super) const FOOT_M: f64 = 0.3048;
 pub(super) const US_SURVEY_FOOT_M: f64 = 1200.0 / 3937.0;
 
 /// Returns a unit of length in metres by a name that GDAL writes, `None` for other names.
-pub(super) fn named_unit_m(name: &str) -> Option<f64> {
-    Some(match name {
-        "" | "m" | "metre" | "metres" | "meter" | "meters" => 1.0,
-        "ft" | "foot" | "feet" => FOOT_M,
+pub(crate) fn named_unit_m(name: &str) -> Option<f64> {
+    Some(match &*name.to_ascii_lowercase() {
+        // Some formats have a word for a unit that nobody named.
+        "" | "unknown" | "unspecified" => 1.0,
+        "m" | "metre" | "metres" | "meter" | "meters" => 1.0,
+        "ft" | "foot" | "feet" | "international foot" | "international feet" => FOOT_M,
         "km" | "kilometre" | "kilometres" | "kilometer" | "kilometers" => 1000.0,
+        "dm" | "decimetre" | "decimetres" | "decimeter" | "decimeters" => 0.1,
         "cm" | "centimetre" | "centimetres" | "centimeter" | "centimeters" => 0.01,
-        "US survey foot" | "US survey feet" | "ftUS" | "us-ft" | "sfoot" => US_SURVEY_FOOT_M,
+        "mm" | "millimetre" | "millimetres" | "millimeter" | "millimeters" => 0.001,
+        "us survey foot" | "us survey feet" | "us_survey_foot" | "ftus" | "us-ft" | "sfoot" => US_SURVEY_FOOT_M,
         _ => return None,
     })
 }
@@ -136,7 +140,9 @@ impl GeoKeys {
     fn system(&self, given: Option<Crs>) -> Result<Option<Crs>, String> {
         // GTModelType, ProjectedCRS and GeodeticCRS. With a projection the last is only its base.
         let model = self.model();
-        let code = self.number(3072).or_else(|| self.number(2048).filter(|_| model != Some(PROJECTED)));
+        // GDAL gives projections that GeoTIFF lacks, such as Mollweide, no model type, but ArcGIS's WKT.
+        let is_base = model == Some(PROJECTED) || (model == Some(USER_DEFINED) && self.esri_wkt().is_some());
+        let code = self.number(3072).or_else(|| self.number(2048).filter(|_| !is_base));
         match (code, model) {
             (Some(code), model) if code != USER_DEFINED => Crs::from_epsg(code)
                 // Geodetic systems in degrees from Greenwich differ from WGS84 by a few hundred metres at most.

@@ -309,9 +309,9 @@ impl Tiff {
         Ok(self.scale_and_offset(channel)?.map(|n| n * unit))
     }
 
-    /// Returns true if the file says that samples of a channel are not heights in metres.
-    pub fn has_units(&self, channel: usize) -> bool {
-        self.factor_and_offset_m(channel) != Ok([1.0, 0.0])
+    /// Returns the factor and the offset of a channel that the file names and that are valid: 1 and 0 for heights in metres.
+    pub fn units(&self, channel: usize) -> [f64; 2] {
+        self.factor_and_offset_m(channel).ok().filter(|[factor, _]| *factor != 0.0).unwrap_or([1.0, 0.0])
     }
 
     /// Returns the factor and the offset of a channel's samples, without a unit. The error is the reason.

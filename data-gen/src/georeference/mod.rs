@@ -19,6 +19,7 @@ mod wkt;
 pub(crate) use beside::{Metadata, files_beside};
 pub use crs::{Crs, utm_from_geodetic, utm_to_geodetic};
 pub use extent::Extent;
+pub(crate) use geo_keys::named_unit_m;
 pub use grids::VerticalDatum;
 pub(crate) use grids::{DatumGrid, Geoid};
 pub(crate) use placement::{Placement, ROUNDING};

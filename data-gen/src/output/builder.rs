@@ -144,7 +144,7 @@ impl<'a> Builder<'a> {
     }
 
     fn without_data(&self) -> GenError {
-        let reason = "no neighbouring samples have heights; --voids fill continues them";
+        let reason = "no neighbouring samples of the finest level have heights; more --levels make it finer, --voids fill continues them";
         GenError::invalid(self.args.dem.first().cloned().unwrap_or_default(), reason)
     }
 

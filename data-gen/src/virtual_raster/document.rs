@@ -113,9 +113,9 @@ impl VirtualBand {
 
 impl VirtualSource {
     fn read(source: &Node<'_, '_>, raster: &Path) -> Result<Self, String> {
-        let own = ["LUT", "ColorTableComponent", "Exponent", "UseMaskBand"];
-        if let Some(name) = own.into_iter().find(|name| child(source, name).is_some_and(|n| n.text() != Some("false")))
-        {
+        // The masks of files are used in any case (`UseMaskBand`).
+        let own = ["LUT", "ColorTableComponent", "Exponent"];
+        if let Some(name) = own.into_iter().find(|name| child(source, name).is_some()) {
             return Err(unsupported(name));
         }
         let file = child(source, "SourceFilename").ok_or("a source without SourceFilename")?;

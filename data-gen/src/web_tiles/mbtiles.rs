@@ -65,6 +65,11 @@ fn zooms(database: &Database) -> Result<(Vec<Zoom>, WebTile), String> {
         }
         Ok(Ok((found, first)))
     });
+    let tiles = tiles.map_err(|reason| match reason.contains("no such table") {
+        true => "a database without a table of tiles; a GeoPackage is not read, gdal_translate writes it as GeoTIFF"
+            .to_owned(),
+        false => reason,
+    });
     let (found, first) = tiles??;
     Ok((found.into_iter().rev().flatten().collect(), first.ok_or("no tiles in it")?))
 }

@@ -46,7 +46,7 @@ fn bad(path: &Path, reason: String) -> GenError {
     GenError::invalid(path, format!("ASCII grid: {reason}"))
 }
 
-fn words(path: &Path) -> Result<Words<BufReader<std::fs::File>>, GenError> {
+pub(super) fn words(path: &Path) -> Result<Words<BufReader<std::fs::File>>, GenError> {
     let file = std::fs::File::open(path).map_err(GenError::file(path))?;
     Ok(Words { text: BufReader::with_capacity(1 << 16, file), next: None })
 }
@@ -80,7 +80,7 @@ impl WholeReader for AsciiGrid {
 const MAX_WORD: usize = 400;
 
 /// The words of a text, read one after another.
-struct Words<R> {
+pub(super) struct Words<R> {
     text: R,
     /// A word that was read and given back.
     next: Option<String>,
@@ -88,7 +88,7 @@ struct Words<R> {
 
 impl<R: BufRead> Words<R> {
     /// Returns the next word, `None` at the end. The error is the reason.
-    fn next(&mut self) -> Result<Option<String>, String> {
+    pub fn next(&mut self) -> Result<Option<String>, String> {
         if let Some(word) = self.next.take() {
             return Ok(Some(word));
         }
@@ -171,7 +171,7 @@ pub(super) fn is_ascii_grid(magic: &[u8]) -> bool {
 }
 
 /// Reads a number, which may have a decimal comma. Words of C for what is not a number are NaN.
-fn number(word: &str) -> Option<f64> {
+pub(super) fn number(word: &str) -> Option<f64> {
     match word.parse() {
         Ok(number) => Some(number),
         Err(_) if ["#IND", "#QNAN", "#INF"].iter().any(|name| word.contains(name)) => Some(f64::NAN),

@@ -13,7 +13,7 @@ use crate::store::{BlockCache, BlockGrid, BlockReader, FileState, Rect, WholeRea
 /// An HGT file, read by seeking.
 struct Hgt {
     path: PathBuf,
-    side: usize,
+    size: [usize; 2],
     state: FileState,
 }
 
@@ -21,9 +21,9 @@ struct Hgt {
 pub(super) fn open(path: &Path) -> Result<Opened, GenError> {
     let name = path.file_stem().and_then(|s| s.to_str()).unwrap_or("");
     let state = FileState::of(path)?;
-    let (side, placement) = place(path, name, state.bytes())?;
-    let grid = BlockGrid::new([side; 2], [side, ROWS]);
-    Ok(Opened { grid, reader: Box::new(Hgt { path: path.to_owned(), side, state }), placement })
+    let (size, placement) = place(path, name, state.bytes())?;
+    let grid = BlockGrid::new(size, [size[0], ROWS]);
+    Ok(Opened { grid, reader: Box::new(Hgt { path: path.to_owned(), size, state }), placement })
 }
 
 /// The number of rows of a block.
@@ -35,7 +35,7 @@ impl BlockReader for Hgt {
         let read = || {
             let mut file = std::fs::File::open(&self.path)?;
             // A block is as wide as the file.
-            file.seek(SeekFrom::Start(2 * (block.row * self.side) as u64))?;
+            file.seek(SeekFrom::Start(2 * (block.row * self.size[0]) as u64))?;
             let mut bytes = vec![0; 2 * block.pixels()];
             file.read_exact(&mut bytes)?;
             Ok(bytes)
@@ -58,7 +58,7 @@ fn samples(bytes: &[u8]) -> Vec<u32> {
 struct Zipped {
     path: PathBuf,
     member: String,
-    side: usize,
+    size: [usize; 2],
 }
 
 /// Opens the first HGT file of a zip file. The name of that file, or of the zip file, tells the position.
@@ -71,9 +71,9 @@ pub(super) fn open_zip(path: &Path, cache: &BlockCache) -> Result<Opened, GenErr
     let bytes = archive.by_name(&member).map_err(|e| bad(e.to_string()))?.size();
     let stem = member.rsplit(['/', '\\']).next().unwrap_or(&member);
     let own = path.file_name().and_then(|s| s.to_str()).unwrap_or("");
-    let (side, placement) = place(path, if corner(stem).is_some() { stem } else { own }, bytes)?;
-    let zipped = Zipped { path: path.to_owned(), member, side };
-    let (grid, reader) = whole(Box::new(zipped), [side; 2], cache);
+    let (size, placement) = place(path, if corner(stem).is_some() { stem } else { own }, bytes)?;
+    let zipped = Zipped { path: path.to_owned(), member, size };
+    let (grid, reader) = whole(Box::new(zipped), size, cache);
     Ok(Opened { grid, reader, placement })
 }
 
@@ -87,8 +87,8 @@ impl WholeReader for Zipped {
         let bad = |e: &dyn std::fmt::Display| GenError::invalid(&self.path, format!("zip: {}: {e}", self.member));
         let mut archive = archive(&self.path)?;
         let mut member = archive.by_name(&self.member).map_err(|e| bad(&e))?;
-        let mut row = vec![0; 2 * self.side];
-        for _ in 0..self.side {
+        let mut row = vec![0; 2 * self.size[0]];
+        for _ in 0..self.size[1] {
             member.read_exact(&mut row).map_err(|e| bad(&e))?;
             call(&samples(&row))?;
         }
@@ -104,7 +104,7 @@ impl WholeReader for Zipped {
 /// An HGT file that was compressed by gzip.
 struct Gzipped {
     path: PathBuf,
-    side: usize,
+    size: [usize; 2],
 }
 
 /// The largest number of bytes that follow the samples.
@@ -122,8 +122,8 @@ pub(super) fn open_gzip(path: &Path, cache: &BlockCache) -> Result<Opened, GenEr
     };
     let length = length().map_err(GenError::file(path))?;
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or("");
-    let (side, placement) = place(path, name, length.into())?;
-    let (grid, reader) = whole(Box::new(Gzipped { path: path.to_owned(), side }), [side; 2], cache);
+    let (size, placement) = place(path, name, length.into())?;
+    let (grid, reader) = whole(Box::new(Gzipped { path: path.to_owned(), size }), size, cache);
     Ok(Opened { grid, reader, placement })
 }
 
@@ -132,8 +132,8 @@ impl WholeReader for Gzipped {
         let bad = |e: std::io::Error| GenError::invalid(&self.path, format!("gzip: {e}"));
         let file = std::fs::File::open(&self.path).map_err(GenError::file(&self.path))?;
         let mut content = MultiGzDecoder::new(BufReader::new(file));
-        let mut row = vec![0; 2 * self.side];
-        for _ in 0..self.side {
+        let mut row = vec![0; 2 * self.size[0]];
+        for _ in 0..self.size[1] {
             content.read_exact(&mut row).map_err(bad)?;
             call(&samples(&row))?;
         }
@@ -146,20 +146,25 @@ impl WholeReader for Gzipped {
     }
 }
 
-/// Returns the samples along a side and the placement of a file of a size, whose name begins with its south-west corner, such
-/// as N42E001.
-fn place(path: &Path, name: &str, bytes: u64) -> Result<(usize, Placement), GenError> {
-    let side = match bytes {
-        // Some distributors append a few bytes to the samples.
-        n if (1201 * 1201 * 2..1202 * 1202 * 2).contains(&n) => 1201,
-        n if (3601 * 3601 * 2..3602 * 3602 * 2).contains(&n) => 3601,
-        n => return Err(GenError::invalid(path, format!("HGT of {n} bytes: neither 1201 nor 3601 samples a side"))),
-    };
+/// The columns and rows of files: of 3 seconds and of 1 second, the latter also with half of the columns beyond 50 degrees of
+/// latitude, and of half a second.
+const SIZES: [[usize; 2]; 4] = [[1201; 2], [1801, 3601], [3601; 2], [7201; 2]];
+
+/// Returns the columns and rows and the placement of a file of a size, whose name begins with its south-west corner, such as
+/// N42E001.
+fn place(path: &Path, name: &str, bytes: u64) -> Result<([usize; 2], Placement), GenError> {
+    // Some distributors append a few bytes to the samples.
+    let has =
+        |[columns, rows]: [usize; 2]| (2 * columns * rows..2 * (columns + 1) * (rows + 1)).contains(&(bytes as usize));
+    let size = SIZES.into_iter().find(|size| has(*size)).ok_or_else(|| {
+        let known = SIZES.map(|[columns, rows]| format!("{columns} x {rows}")).join(", ");
+        GenError::invalid(path, format!("HGT of {bytes} bytes: not {known} samples"))
+    })?;
     let [west, south] = corner(name).ok_or_else(|| GenError::invalid(path, "HGT: the name is not like N42E001"))?;
-    let pixel = 1.0 / (side - 1) as f64;
-    let origin = [west - 0.5 * pixel, south + 1.0 + 0.5 * pixel];
-    let transform = GeoTransform { origin, dx: [pixel, 0.0], dy: [0.0, -pixel] };
-    Ok((side, Placement::new(transform, Crs::Geographic)))
+    let [dx, dy] = size.map(|side| 1.0 / (side - 1) as f64);
+    let origin = [west - 0.5 * dx, south + 1.0 + 0.5 * dy];
+    let transform = GeoTransform { origin, dx: [dx, 0.0], dy: [0.0, -dy] };
+    Ok((size, Placement::new(transform, Crs::Geographic)))
 }
 
 /// Returns the longitude and latitude of the south-west corner in degrees.

@@ -1,10 +1,12 @@
-//! Readers of elevation files: GeoTIFF, HGT, DTED, PNG, EXR, ASCII grids, points in text files, plain samples with a header, virtual
-//! rasters, PMTiles and folders of web tiles.
+//! Readers of elevation files: GeoTIFF, HGT, DTED, PNG, EXR, netCDF, Erdas Imagine, ASCII grids, points in text files, plain samples with a header,
+//! virtual rasters, PMTiles and folders of web tiles.
 
 mod ascii_grid;
 mod dted;
+mod erdas;
 mod exr;
 mod hgt;
+mod netcdf;
 mod plain;
 mod png;
 mod tiff;
@@ -12,6 +14,7 @@ mod virtual_raster;
 mod web_tiles;
 mod xyz;
 
+use std::io::Read as _;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -27,6 +30,8 @@ pub(crate) use png::rows as png_rows;
 const MAX_SAMPLES: usize = 1 << 36;
 /// Largest number of samples that one byte of a compressed file can hold: deflate packs at most 1,032 bytes into one.
 const MAX_SAMPLES_PER_BYTE: u64 = 1032;
+/// The bytes at a text's start that tell whether it is an ASCII grid.
+const MAX_WORD_BYTES: u64 = 64;
 
 /// The meaning of the colours of a PNG with elevation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -48,9 +53,10 @@ pub struct RasterOptions {
     pub channel: Option<String>,
     /// A value of samples without data, beside the one that a file declares.
     pub nodata: Option<f64>,
-    /// Metres for each step of grey PNGs, and for each unit of EXR files; 1 in EXR files by default.
+    /// Metres for each step of grey PNGs, and for each unit of EXR files; a factor of the heights of other rasters. 1 by default, but
+    /// in grey PNGs.
     pub height_scale: Option<f64>,
-    /// Metres that are added to the scaled values of grey PNGs and EXR files.
+    /// Metres that are added to the scaled values.
     pub height_offset: f64,
     /// The meaning of the colours of RGB PNGs.
     pub encoding: HeightEncoding,
@@ -59,12 +65,14 @@ pub struct RasterOptions {
 impl RasterOptions {
     /// Returns a sample of a format without a unit in metres, NaN for the nodata value.
     fn height_m(&self, sample: f32) -> f32 {
-        if self.nodata.is_some_and(|nodata| nodata as f32 == sample) {
-            return f32::NAN;
-        }
+        if self.nodata.is_some_and(|nodata| nodata as f32 == sample) { f32::NAN } else { self.scaled_m(sample) }
+    }
+
+    /// Returns a height with the factor and the offset of the options.
+    fn scaled_m(&self, height_m: f32) -> f32 {
         match (self.height_scale, self.height_offset) {
-            (None, 0.0) => sample,
-            (scale, offset) => (f64::from(sample) * scale.unwrap_or(1.0) + offset) as f32,
+            (None, 0.0) => height_m,
+            (scale, offset) => (f64::from(height_m) * scale.unwrap_or(1.0) + offset) as f32,
         }
     }
 }
@@ -116,19 +124,28 @@ fn open_at(
         _ if dted::is_dted(&magic) => dted::open(path),
         _ if is_virtual(path, &magic) => virtual_raster::open(path, options, context, depth),
         _ if ascii_grid::is_ascii_grid(&magic) => ascii_grid::open(path, options, &context.cache),
-        _ if let Some(format) = converted_first(&magic) => {
-            Err(GenError::invalid(path, format!("{format}; gdal_translate writes it as GeoTIFF")))
-        }
-        _ if xyz::is_xyz(path) => xyz::open(path, options, &context.cache),
+        [b'C', b'D', b'F', 1 | 2 | 5, ..] | [0x89, b'H', b'D', b'F', ..] => netcdf::open(path, options, context),
+        [b'E', b'H', b'F', b'A', ..] => erdas::open(path, options, &context.cache),
+        _ if plain::is_surfer(&magic) => plain::open_surfer(path, options, &context.cache),
+        _ if let Some(format) = converted_first(&magic) => Err(GenError::invalid(path, format)),
+        _ if xyz::is_xyz(path)? => xyz::open(path, options, &context.cache),
         _ => plain::open(path, options, &context.cache)?.ok_or_else(|| {
-            let formats = "neither GeoTIFF, HGT (or a zip or gzip file of one), DTED, PNG, EXR, PMTiles, MBTiles, VRT, an ASCII \
-                           grid, XYZ, nor plain samples with a .hdr file beside them";
+            let formats = "neither GeoTIFF, HGT (or a zip or gzip file of one), DTED, PNG, EXR, netCDF, Erdas Imagine, PMTiles, MBTiles, VRT, an ASCII \
+                           grid, a grid of Surfer, XYZ, nor plain samples with a .hdr, .sgrd or .lbl file beside them";
             GenError::invalid(path, formats)
         }),
     }
 }
 
-/// Opens an overview of a TIFF ([`tiff::open_overview`]); `None` for other formats.
+/// Returns true for a text file with elevation, which is no list of files.
+pub(super) fn is_text_raster(path: &Path) -> Result<bool, GenError> {
+    let mut magic = Vec::new();
+    let file = std::fs::File::open(path).map_err(GenError::file(path))?;
+    file.take(MAX_WORD_BYTES).read_to_end(&mut magic).map_err(GenError::file(path))?;
+    Ok(ascii_grid::is_ascii_grid(&magic) || xyz::is_xyz(path)?)
+}
+
+/// Opens an overview of a TIFF ([`tiff::open_overview`]), or those of the files of a virtual raster; `None` for other formats.
 pub(super) fn open_overview(
     path: &Path,
     factors: [f64; 2],
@@ -136,20 +153,34 @@ pub(super) fn open_overview(
     context: &Arc<SourceContext>,
     placement: &Placement,
 ) -> Result<Option<Opened>, GenError> {
-    if is_archive(path, &context.cache)? || !is_tiff(&first_bytes(path, &context.cache)?) {
+    if is_archive(path, &context.cache)? {
         return Ok(None);
     }
-    tiff::open_overview(path, factors, options, context, placement)
+    let magic = first_bytes(path, &context.cache)?;
+    match &magic[..] {
+        magic if is_tiff(magic) => tiff::open_overview(path, factors, options, context, placement),
+        magic if is_virtual(path, magic) => virtual_raster::open_overview(path, factors, options, context, placement),
+        _ => Ok(None),
+    }
 }
 
-/// Returns the name of a format that is not read, by a file's first bytes.
-fn converted_first(magic: &[u8]) -> Option<&'static str> {
-    Some(match magic {
-        [b'E', b'H', b'F', b'A', ..] => "Erdas Imagine",
-        [0x89, b'H', b'D', b'F', ..] | [b'C', b'D', b'F', ..] => "netCDF or HDF",
-        [0, 0, 0, 12, b'j', b'P', ..] => "JPEG 2000",
+/// Returns a word about a format that is not read, by a file's first bytes.
+fn converted_first(magic: &[u8]) -> Option<String> {
+    let name = match magic {
+        [b'P', b'D', b'S', b'_', ..] | [b'C', b'C', b'S', b'D', ..] => {
+            return Some("a label of NASA's PDS; name the file of its samples, beside which the label is".to_owned());
+        }
+        [b'L', b'A', b'S', b'F', ..] => {
+            return Some("points of a laser scan (LAS); pdal makes a raster of them".to_owned());
+        }
+        [0x0e, 0x03, 0x13, 0x01, ..] => "HDF of version 4",
+        [0, 0, 0, 12, b'j', b'P', ..] | [0xff, 0x4f, 0xff, 0x51, ..] => "JPEG 2000",
+        [b'G', b'R', b'I', b'B', ..] => "GRIB",
+        [b'S', b'I', b'M', b'P', b'L', b'E', b' ', ..] => "FITS",
+        [b'P', b'C', b'I', b'D', b'S', b'K', ..] => "PCIDSK",
         _ => return None,
-    })
+    };
+    Some(format!("{name}; gdal_translate writes it as GeoTIFF"))
 }
 
 /// Returns true if a file begins like a TIFF.

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::super::context::SourceContext;
-use super::{Opened, RasterOptions, height_bits};
+use super::{Opened, RasterOptions};
 use crate::GenError;
 use crate::georeference::Placement;
 use crate::georeference::geotiff::Tiff;
@@ -22,7 +22,7 @@ struct Channel {
     overview: Option<usize>,
     /// The channel, from 0 on.
     channel: usize,
-    nodata: Option<f64>,
+    options: RasterOptions,
     context: Arc<SourceContext>,
 }
 
@@ -30,6 +30,11 @@ impl Channel {
     /// Returns the image, opened again if it is not among the open ones.
     fn tiff(&self) -> Result<Arc<Tiff>, GenError> {
         self.context.tiffs.file(self.number, || self.open(0))
+    }
+
+    fn heights(&self, tiff: &Tiff, block: Rect) -> Result<Vec<u32>, GenError> {
+        let heights = tiff.heights(self.channel, self.options.nodata, block)?;
+        Ok(heights.into_iter().map(|height_m| self.options.scaled_m(height_m).to_bits()).collect())
     }
 
     fn open(&self, cache_bytes: usize) -> Result<Tiff, GenError> {
@@ -86,7 +91,7 @@ fn opened(
     placement: Placement,
 ) -> Result<Opened, GenError> {
     let (path, context) = (path.to_owned(), Arc::clone(context));
-    let mut channel = Channel { path, number, overview, channel: 0, nodata: options.nodata, context };
+    let mut channel = Channel { path, number, overview, channel: 0, options: options.clone(), context };
     let t = channel.tiff()?;
     channel.channel = match (&options.channel, t.channels()) {
         (None, 1) => 0,
@@ -112,7 +117,7 @@ fn opened(
 impl BlockReader for Channel {
     fn read(&self, block: Rect) -> Result<Vec<u32>, GenError> {
         let tiff = self.tiff()?;
-        Ok(height_bits(tiff.heights(self.channel, self.nodata, block)?))
+        self.heights(&tiff, block)
     }
 
     fn is_known_empty(&self, block: Rect) -> bool {
@@ -124,7 +129,7 @@ impl WholeReader for Channel {
     fn read_all(&self, call: &mut dyn FnMut(&[u32]) -> Result<(), GenError>) -> Result<(), GenError> {
         let tiff = self.open(self.tiff()?.row_bytes())?;
         for step in tiff.row_steps() {
-            call(&height_bits(tiff.heights(self.channel, self.nodata, step)?))?;
+            call(&self.heights(&tiff, step)?)?;
         }
         Ok(())
     }

@@ -35,9 +35,47 @@ struct Points {
     state: FileState,
 }
 
-/// Returns true for the extension of such files.
-pub(super) fn is_xyz(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("xyz"))
+/// The bytes at a file's start that tell whether it has points.
+const START_BYTES: u64 = 2048;
+
+/// Returns true for the extension of such files, and for text whose first lines are points, after one of names at most.
+pub(crate) fn is_xyz(path: &Path) -> Result<bool, GenError> {
+    if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("xyz")) {
+        return Ok(true);
+    }
+    let mut start = Vec::new();
+    let file = std::fs::File::open(path).map_err(GenError::file(path))?;
+    file.take(START_BYTES).read_to_end(&mut start).map_err(GenError::file(path))?;
+    let Ok(text) = std::str::from_utf8(&start) else { return Ok(false) };
+    let mut lines: Vec<&str> = text.lines().collect();
+    // The last one may be cut off.
+    if start.len() as u64 == START_BYTES {
+        lines.pop();
+    }
+    let mut lines = lines.into_iter().filter(|line| !line.trim().is_empty()).peekable();
+    lines.next_if(|line| point(line).is_none());
+    let found: Vec<bool> = lines.take(3).map(|line| point(line).is_some()).collect();
+    Ok(found.len() == 3 && found.iter().all(|is_point| *is_point))
+}
+
+/// Returns the point of a line. Numbers may have a decimal comma where blanks or semicolons are between them.
+fn point(line: &str) -> Option<[f64; 3]> {
+    let line = line.trim_start_matches('\u{feff}');
+    let words = |between: fn(char) -> bool| {
+        line.split(between).map(|word| word.trim_matches([',', '"'])).filter(|word| !word.is_empty())
+    };
+    let apart: Vec<&str> = words(|c| c.is_whitespace() || c == ';').take(3).collect();
+    let number = |word: &str| word.parse().or_else(|_| word.replacen(',', ".", 1).parse()).ok();
+    let found = match apart[..] {
+        [x, y, z] => [number(x), number(y), number(z)],
+        _ => {
+            let mut numbers = words(|c| c == ',' || c == ';' || c.is_whitespace()).map(|word| word.parse().ok());
+            [numbers.next()?, numbers.next()?, numbers.next()?]
+        }
+    };
+    let [Some(x), Some(y), Some(z)] = found else { return None };
+    let is_finite = |n: &f64| n.is_finite();
+    [x, y].iter().all(is_finite).then_some([x, y, z])
 }
 
 /// Opens a file and reads its points once, to find the grid.
@@ -73,17 +111,11 @@ fn each_point(path: &Path, mut call: impl FnMut([f64; 3]) -> Result<(), String>)
         if read == 0 {
             return Ok(());
         }
-        let words = String::from_utf8_lossy(&line);
-        let is_between = |c: char| c.is_whitespace() || [',', ';', '\u{feff}'].contains(&c);
-        let mut words = words.split(is_between).filter(|word| !word.is_empty());
-        let mut next = || words.next().map(str::parse::<f64>);
-        match [next(), next(), next()] {
-            [Some(Ok(x)), Some(Ok(y)), Some(Ok(z))] if x.is_finite() && y.is_finite() => {
-                call([x, y, z]).map_err(|reason| bad(path, format!("line {number}: {reason}")))?;
-            }
-            [None, ..] => {}
-            _ if number == 1 => {}
-            _ => return Err(bad(path, format!("line {number} is not `x y z`"))),
+        let text = String::from_utf8_lossy(&line);
+        match point(&text) {
+            Some(point) => call(point).map_err(|reason| bad(path, format!("line {number}: {reason}")))?,
+            None if number == 1 || text.trim().is_empty() => {}
+            None => return Err(bad(path, format!("line {number} is not `x y z`"))),
         }
     }
     Ok(())

@@ -205,6 +205,15 @@ fn folders_patterns_and_lists_name_files() {
     assert_eq!(span(&below.join("a?.tif")), [0, 2]);
     assert_eq!(span(&below.join("*2.tif")), [1, 2]);
     assert_eq!(span(&list), [1, 3]);
+    // A text file may have the samples themselves.
+    let grid = folder.path().join("grid.txt");
+    for text in [
+        "ncols 2\nnrows 2\nxllcorner 7.48\nyllcorner 46\ncellsize 0.04\n1 2 3 4",
+        "7.5 46 1\n7.54 46 2\n7.5 46.04 3\n7.54 46.04 4",
+    ] {
+        fs::write(&grid, text).unwrap();
+        assert_eq!(span(&grid), [0, 1]);
+    }
     for (dem, why) in [(below.join("c*.tif"), "no file matches"), (below.join("none.tif"), "none.tif")] {
         let error = run(&GenArgs { dem: vec![dem], overwrite: true, ..out(folder.path()) }).unwrap_err().to_string();
         assert!(error.contains(why), "{error}");

@@ -144,11 +144,11 @@ fn plain_samples_are_placed_by_the_header_beside_them() {
         assert!(error.contains(why), "{error}, not {why}");
     }
     // The header of another raster of the same name does not count.
-    let erdas = float.with_extension("img");
-    fs::write(&erdas, b"EHFA_HEADER_TAG and more").unwrap();
-    assert!(error(&erdas, &usual()).contains("Erdas Imagine; gdal_translate writes it as GeoTIFF"));
+    let fits = float.with_extension("fits");
+    fs::write(&fits, b"SIMPLE  = T and more").unwrap();
+    assert!(error(&fits, &usual()).contains("FITS; gdal_translate writes it as GeoTIFF"));
     fs::remove_file(float.with_extension("hdr")).unwrap();
-    assert!(error(&float, &usual()).contains("nor plain samples with a .hdr file beside them"));
+    assert!(error(&float, &usual()).contains("nor plain samples with a .hdr, .sgrd or .lbl file beside them"));
 }
 
 #[test]
@@ -170,7 +170,11 @@ fn points_are_a_grid_in_any_order() {
         by_rows.join("\n"),
         by_columns.join("\r\n") + "\r\n",
         "\u{feff}x;y;z\n".to_owned() + &down.join("\n").replace(' ', ";"),
+        by_rows.join("\n").replace('.', ","),
+        "X,Y,Z\n".to_owned() + &by_rows.join("\n").replace(' ', ","),
     ] {
+        // The lines tell what the extension does not.
+        let path = path.with_extension(if text.contains(',') { "csv" } else { "xyz" });
         fs::write(&path, &text).unwrap();
         let raster = Raster::read(&path).unwrap();
         assert_eq!((raster.size(), raster.range_m().unwrap()), ([4, 3], [0.5, 23.5]), "{text}");
@@ -242,6 +246,21 @@ fn virtual_rasters_are_mosaics_of_their_files() {
     fs::write(&path, virtual_raster(&scaled, "<UnitType>ft</UnitType>")).unwrap();
     let raster = Raster::read(&path).unwrap();
     assert!((pixel(&raster, 9, 9) - 0.3048 * (0.5 * of(&low, 9, 9) + 3.0)).abs() < 0.01);
+    // Samples are scaled, not the heights that a file makes of them.
+    let items = |scale: f64| {
+        format!("<GDALMetadata><Item name=\"SCALE\" sample=\"0\" role=\"scale\">{scale}</Item></GDALMetadata>")
+    };
+    let image = |scale: f64| {
+        let samples = low.iter().flat_map(|h| (*h as i16).to_le_bytes()).collect();
+        let image = Image::new([SIDE as u16; 2], 16, 1, samples).at([west, north], [dx, dy]);
+        tiff(vec![image.with(339, Values::Short(vec![2])).with(42112, Values::Text(items(scale)))])
+    };
+    fs::write(folder.path().join("decimetres.tif"), image(0.1)).unwrap();
+    for (more, expected) in [("<ScaleRatio>0.1</ScaleRatio><ScaleOffset>5</ScaleOffset>", 5.0), ("", 0.0)] {
+        fs::write(&path, virtual_raster(&source("decimetres.tif", 0, more), "")).unwrap();
+        let found = pixel(&Raster::read(&path).unwrap(), 9, 9);
+        assert!((found - expected - 0.1 * of(&low, 9, 9).trunc()).abs() < 0.01, "{found}");
+    }
     // A quarter of a file, at twice its size.
     let part = source("a.tif", 0, "").replacen(
         &format!(r#"xSize="{SIDE}" ySize="{SIDE}""#),

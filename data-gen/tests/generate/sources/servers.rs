@@ -220,6 +220,22 @@ fn coarse_sets_read_the_overview_that_suffices() {
     run(&args(1)).unwrap();
     let read = bytes(&server.seen()[before..]);
     assert!(read < size / 8, "{read} of {size} bytes");
+    // So do virtual rasters of such files.
+    let raster = folder.path().join("a.vrt");
+    let text = format!(
+        r#"<VRTDataset rasterXSize="{SIDE}" rasterYSize="{SIDE}"><SRS>EPSG:4326</SRS>
+        <GeoTransform>{}, {PIXEL}, 0, {}, 0, -{PIXEL}</GeoTransform><VRTRasterBand band="1"><SimpleSource>
+        <SourceFilename>/vsicurl/{}</SourceFilename></SimpleSource></VRTRasterBand></VRTDataset>"#,
+        CORNER[0],
+        CORNER[1],
+        address(&server, "a.tif").display()
+    );
+    std::fs::write(&raster, text).unwrap();
+    let before = server.count();
+    let summary = run(&GenArgs { dem: vec![raster], ..args(4) }).unwrap();
+    assert_eq!([summary.min_height_m, summary.max_height_m], [3000.0; 2]);
+    let read = bytes(&server.seen()[before..]);
+    assert!(read < size / 4, "{read} of {size} bytes");
     // All levels: the image itself.
     let summary = run(&args(6)).unwrap();
     assert_eq!((summary.max_height_m, summary.notes.len()), (1000.0, 0));
