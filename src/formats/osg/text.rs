@@ -127,8 +127,8 @@ impl Backdrop {
     pub fn offsets(&self) -> impl Iterator<Item = DVec2> + Clone {
         /// The largest offset; a letter's rectangle is little larger than its square.
         const MAX_OFFSET: f64 = 1.0;
-        /// The width of OSG's outlines by their offset.
-        const OUTLINE_WIDTH: f64 = 0.5;
+        /// The width of outlines by their offset, as in OSG's shader for text.
+        const OUTLINE_WIDTH: f64 = 0.8;
         let [right, up] = match self.kind {
             // OSG takes the offset to the right for all sides.
             OUTLINE => [OUTLINE_WIDTH * self.offset[0]; 2],

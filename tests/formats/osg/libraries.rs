@@ -265,10 +265,10 @@ fn backdrops_of_texts_are_copies_behind_the_letters() {
     ] {
         assert_eq!(offsets(kind, "0.1 0.05"), [expected], "{kind}");
     }
-    // An outline is half as wide as the offset to the right, on every side.
+    // An outline is as wide as 0.8 of the offset to the right, on every side.
     let mut around = offsets("OUTLINE", "0.1 0.9");
     around.sort_unstable();
-    let all = [-5, 0, 5].into_iter().flat_map(|right| [-5, 0, 5].map(|up| [right, up]));
+    let all = [-8, 0, 8].into_iter().flat_map(|right| [-8, 0, 8].map(|up| [right, up]));
     assert_eq!(around, all.filter(|offset| *offset != [0, 0]).collect::<Vec<_>>());
     assert!(offsets("NONE", "0.1 0.05").is_empty());
     // Offsets that are larger than a letter are invalid.
