@@ -54,7 +54,8 @@ impl UvSet {
 
     /// Returns the coordinates from the first row of the image, for a position or for the geometry's own s and t.
     pub fn mapped(&self, of: DVec3) -> [f32; 2] {
-        let [s, t] = self.map.map_or([of.x, of.y], |map| map.point(of)).map(|part| part as f32);
+        let [s, t] = self.map.map_or([of.x, of.y], |map| map.point(of));
+        let (s, t) = (s as f32, t as f32);
         // OSG's t goes up, Terrane's v down from the first row of an image.
         [s, if self.starts_at_bottom { t } else { 1.0 - t }]
     }
@@ -228,10 +229,13 @@ impl Arrays<'_> {
 
 /// Returns a normal in the format of vertices.
 fn packed_normal(normal: DVec3) -> [i8; 4] {
+    /// Squares of lengths that are nearer to 1 count as 1: less than a hundredth of the format's step.
+    const MAX_DEVIATION: f64 = 1e-4;
+    let is_unit = (normal.length_squared() - 1.0).abs() < MAX_DEVIATION;
+    let normal = if is_unit { normal } else { normal.normalize_or_zero() };
     // The cast cuts, as rounding is a call on processors without an instruction for it.
-    let packed = normal.normalize_or_zero().to_array().map(|part| (part * 127.0 + 0.5_f64.copysign(part)) as i8);
-    let [x, y, z] = packed;
-    [x, y, z, 0]
+    let packed = |part: f64| (part * 127.0 + 0.5_f64.copysign(part)) as i8;
+    [packed(normal.x), packed(normal.y), packed(normal.z), 0]
 }
 
 impl Builder<'_> {
@@ -491,6 +495,21 @@ mod tests {
         let mut list = [7, 3, 7, 9, 3];
         assert_eq!(compacted(&mut list, 10), [7, 3, 9]);
         assert_eq!(list, [0, 1, 0, 2, 1]);
+    }
+
+    #[test]
+    fn normals_are_packed_at_unit_length() {
+        let near = |a: [i8; 4], b: [i8; 4]| a.iter().zip(b).all(|(a, b)| a.abs_diff(b) <= 1);
+        for direction in [DVec3::X, -DVec3::Z, DVec3::new(1.0, -2.0, 3.0), DVec3::ONE] {
+            let unit = packed_normal(direction.normalize());
+            for length in [0.99996, 1.00004, 0.9, 1e-30, 1e30] {
+                let packed = packed_normal(direction.normalize() * length);
+                assert!(near(packed, unit), "{packed:?} and {unit:?} of length {length}");
+            }
+        }
+        assert_eq!(packed_normal(DVec3::ZERO), [0; 4]);
+        assert_eq!(packed_normal(DVec3::NAN), [0; 4]);
+        assert_eq!(packed_normal(DVec3::X), [127, 0, 0, 0]);
     }
 
     #[test]

@@ -55,8 +55,12 @@ impl BoundArray {
             Some(indices) => indices.get(element, 0).max(0.0) as usize,
             None => element,
         };
-        let scaled = |values: [f64; N]| if one == 1.0 { values } else { values.map(|value| value / one) };
-        self.array.for_each(elements.map(in_array), |values| put(scaled(values)));
+        self.array.for_each(elements.map(in_array), |mut values: [f64; N]| {
+            if one != 1.0 {
+                values.iter_mut().for_each(|value| *value /= one);
+            }
+            put(values);
+        });
     }
 }
 
@@ -84,7 +88,11 @@ impl ArrayObject {
         match &self.values {
             Values::F32(values) if N <= self.width => elements.for_each(|element| {
                 let own = values.get(element.saturating_mul(self.width)..).and_then(<[f32]>::first_chunk::<N>);
-                put(own.map_or_else(|| first(element), |own| own.map(f64::from)));
+                let Some(own) = own else { return put(first(element)) };
+                // A loop, since `map` of arrays is a call for each element.
+                let mut all = [0.0; N];
+                all.iter_mut().zip(own).for_each(|(to, from)| *to = f64::from(*from));
+                put(all);
             }),
             _ => elements.for_each(|element| put(first(element))),
         }
