@@ -119,6 +119,7 @@ pub fn decode(content: Content, options: &ReadOptions) -> Result<Page, IoError> 
             sharing.share_states(&mut page);
             page.hold_shared();
         }
+        page.find_vertex_formats();
         Ok(page)
     };
     guarded(&uri, read)
@@ -379,5 +380,19 @@ mod tests {
         assert!(has_slow_dependencies(b"glTF", &known(b"\xef\xbb\xbf <?xml version=\"1.0\"?><Capabilities/>")));
         assert!(!has_slow_dependencies(b"glTF", &known(b"\x89PNG")) && !has_slow_dependencies(b"glTF", &[]));
         assert!(has_slow_dependencies(&[b' '; 100_000], &[]));
+    }
+
+    /// The thread that uploads looked through all vertices of formats whose readers do not.
+    #[test]
+    fn decoders_find_the_vertex_format() {
+        const FILE: &str = "#Ascii Scene \n#Version 161 \n#Generator OpenSceneGraph 3.6.5 \n
+            osg::Geode { UniqueID 1 Drawables 1 { osg::Geometry { UniqueID 2
+            PrimitiveSetList 1 { osg::DrawArrays { UniqueID 3 Mode TRIANGLES Count 3 } }
+            VertexArray TRUE { osg::Vec3Array { UniqueID 4 Binding BIND_PER_VERTEX vector 3 { 0 0 0 \n 1 0 0 \n 0 1 0 } } } } } }";
+        let options = ReadOptions::for_root("/set/a.osgt", crate::fetch::Limits::default());
+        let uri = Arc::from("/set/a.osgt");
+        let content = Content { uri, bytes: FILE.into(), reader_data: None, companions: Vec::new() };
+        let page = decode(content, &options).unwrap();
+        assert!(page.drawables().len() == 1 && page.drawables()[0].has_vertex_format());
     }
 }

@@ -86,8 +86,14 @@ impl Aabb {
 
     /// Returns the box around points; NaN coordinates are ignored.
     pub fn from_points(points: impl IntoIterator<Item = DVec3>) -> Self {
+        points.into_iter().fold(Self::EMPTY, Self::with)
+    }
+
+    /// Returns the box around this box and a point; NaN coordinates are ignored.
+    #[inline]
+    pub(crate) fn with(self, point: DVec3) -> Self {
         // `min` and `max` return their second operand if the first is NaN.
-        points.into_iter().fold(Self::EMPTY, |b, p| Self { min: p.min(b.min), max: p.max(b.max) })
+        Self { min: point.min(self.min), max: point.max(self.max) }
     }
 
     /// Returns true if the box is empty.

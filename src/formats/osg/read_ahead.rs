@@ -2,12 +2,13 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use twox_hash::XxHash3_128;
+
 use super::build::size_bytes;
 use super::classes::{ReadFile, read_file};
 use super::error::Result;
 use super::{dot_osg, ive};
 use crate::fetch::Limits;
-use crate::scene::ContentKey;
 
 /// The largest file whose objects are kept, bytes. Larger ones are parsed again.
 const MAX_KEPT_BYTES: usize = 16 << 20;
@@ -22,7 +23,7 @@ pub struct ReadAhead(Arc<Mutex<Option<Kept>>>);
 #[derive(Debug)]
 struct Kept {
     /// Stands for the bytes: a server may answer a second request with others.
-    key: ContentKey,
+    hash: u128,
     file: Arc<ReadFile>,
     /// About the memory that the objects take.
     size_bytes: u64,
@@ -40,13 +41,13 @@ fn parse(bytes: &[u8], limits: &Limits) -> Result<ReadFile> {
 impl ReadAhead {
     /// Returns the objects of a file, and keeps them.
     pub(super) fn file(&self, bytes: &[u8], limits: &Limits) -> Result<Arc<ReadFile>> {
-        let key = ContentKey::of(&[bytes]);
-        if let Some(file) = self.kept().as_ref().filter(|kept| kept.key == key).map(|kept| kept.file.clone()) {
+        let hash = XxHash3_128::oneshot(bytes);
+        if let Some(file) = self.kept().as_ref().filter(|kept| kept.hash == hash).map(|kept| kept.file.clone()) {
             return Ok(file);
         }
         let file = Arc::new(parse(bytes, limits)?);
         if bytes.len() <= MAX_KEPT_BYTES {
-            *self.kept() = Some(Kept { key, file: file.clone(), size_bytes: size_bytes(&file.root) });
+            *self.kept() = Some(Kept { hash, file: file.clone(), size_bytes: size_bytes(&file.root) });
         }
         Ok(file)
     }
@@ -54,7 +55,7 @@ impl ReadAhead {
     /// Returns the objects of a file, and keeps nothing any longer.
     pub(super) fn take(&self, bytes: &[u8], limits: &Limits) -> Result<Arc<ReadFile>> {
         match self.kept().take() {
-            Some(Kept { key, file, .. }) if key == ContentKey::of(&[bytes]) => Ok(file),
+            Some(Kept { hash, file, .. }) if hash == XxHash3_128::oneshot(bytes) => Ok(file),
             _ => parse(bytes, limits).map(Arc::new),
         }
     }

@@ -1,13 +1,13 @@
 //! [`TextObject`]: a text of osgText as plain values. Readers of all encodings fill it; [`build`](super::build) makes a mesh of
 //! its letters.
 
-use glam::{DQuat, DVec3};
+use glam::{DQuat, DVec2, DVec3};
 
 use super::input::Names;
 
 // The notes about texts that are drawn otherwise than by OSG.
 pub(super) const LAYOUTS: &str = "OpenSceneGraph: layout of a text (it is drawn from left to right)";
-pub(super) const DECORATIONS: &str = "OpenSceneGraph: backdrop or box of a text (not drawn)";
+pub(super) const BOXES: &str = "OpenSceneGraph: box of a text (not drawn)";
 pub(super) const GRADIENTS: &str = "OpenSceneGraph: gradient of a text's colours (it has one colour)";
 pub(super) const FADING: &str = "OpenSceneGraph class osgText::FadeText (it does not fade)";
 pub(super) const SOLIDS: &str = "OpenSceneGraph class osgText::Text3D (it is flat)";
@@ -49,6 +49,21 @@ pub(super) const SCREEN: u32 = 6;
 pub(super) const SIZE_MODES: Names =
     &[("OBJECT_COORDS", 0), ("SCREEN_COORDS", 1), ("OBJECT_COORDS_WITH_MAXIMUM_SCREEN_SIZE_CAPPED_BY_FONT_HEIGHT", 2)];
 pub(super) const LAYOUT_NAMES: Names = &[("LEFT_TO_RIGHT", 0), ("RIGHT_TO_LEFT", 1), ("VERTICAL", 2)];
+/// What can be drawn behind letters: shadows by the direction in which they lie, and an outline.
+pub(super) const BACKDROPS: Names = &[
+    ("DROP_SHADOW_BOTTOM_RIGHT", 0),
+    ("DROP_SHADOW_CENTER_RIGHT", 1),
+    ("DROP_SHADOW_TOP_RIGHT", 2),
+    ("DROP_SHADOW_BOTTOM_CENTER", 3),
+    ("DROP_SHADOW_TOP_CENTER", 4),
+    ("DROP_SHADOW_BOTTOM_LEFT", 5),
+    ("DROP_SHADOW_CENTER_LEFT", 6),
+    ("DROP_SHADOW_TOP_LEFT", 7),
+    ("OUTLINE", OUTLINE),
+    ("NONE", NO_BACKDROP),
+];
+const OUTLINE: u32 = 8;
+pub(super) const NO_BACKDROP: u32 = 9;
 /// The number of the mode of drawing in which there are letters and nothing else.
 pub(super) const LETTERS_ALONE: u32 = 1;
 
@@ -76,6 +91,54 @@ pub(super) struct TextObject {
     pub max_width: f64,
     /// The displayed colour, sRGB, 0 to 1.
     pub color: [f32; 4],
+    pub backdrop: Backdrop,
+}
+
+/// What is drawn behind the letters of a text.
+#[derive(Debug)]
+pub(super) struct Backdrop {
+    /// A number of [`BACKDROPS`].
+    pub kind: u32,
+    /// The offset to the right and upwards, as shares of the square that a letter is designed in.
+    pub offset: [f64; 2],
+    /// The displayed colour, sRGB, 0 to 1.
+    pub color: [f32; 4],
+}
+
+impl Default for Backdrop {
+    /// Returns OSG's defaults.
+    fn default() -> Self {
+        Self { kind: NO_BACKDROP, offset: [0.07; 2], color: [0.0, 0.0, 0.0, 1.0] }
+    }
+}
+
+impl Backdrop {
+    /// Returns the directions in which copies of the letters are drawn: -1, 0 or 1 to the right and upwards.
+    fn directions(&self) -> &'static [[i8; 2]] {
+        /// By the numbers of shadows.
+        const AROUND: [[i8; 2]; 8] = [[1, -1], [1, 0], [1, 1], [0, -1], [0, 1], [-1, -1], [-1, 0], [-1, 1]];
+        match self.kind {
+            OUTLINE => &AROUND,
+            kind => AROUND.get(kind as usize).map_or(&[], std::slice::from_ref),
+        }
+    }
+
+    /// Returns the offsets of copies of the letters, as shares of the square that a letter is designed in.
+    pub fn offsets(&self) -> impl Iterator<Item = DVec2> + Clone {
+        /// The largest offset; a letter's rectangle is little larger than its square.
+        const MAX_OFFSET: f64 = 1.0;
+        /// The width of outlines by their offset, as in OSG's shader for text.
+        const OUTLINE_WIDTH: f64 = 0.8;
+        let [right, up] = match self.kind {
+            // OSG takes the offset to the right for all sides.
+            OUTLINE => [OUTLINE_WIDTH * self.offset[0]; 2],
+            _ => self.offset,
+        };
+        let offset = DVec2::new(right, up);
+        let is_near = offset.is_finite() && offset.abs().max_element() <= MAX_OFFSET;
+        let directions = if is_near { self.directions() } else { &[] };
+        directions.iter().map(move |[right, up]| offset * DVec2::new((*right).into(), (*up).into()))
+    }
 }
 
 impl Default for TextObject {
@@ -94,6 +157,7 @@ impl Default for TextObject {
             line_spacing: 0.0,
             max_width: 0.0,
             color: [1.0; 4],
+            backdrop: Backdrop::default(),
         }
     }
 }

@@ -302,9 +302,12 @@ impl DatabasePager {
         self.expire(scenes, contexts, &self.update_budget());
         self.update_limits();
         let left = || deadline.saturating_duration_since(Instant::now()).saturating_sub(WORK_MARGIN);
+        let mut uploading = 0;
         while goes_on(self) && self.is_under_way() && !left().is_zero() {
-            let timeout = match (self.arrivals.has_ready() || self.arrivals.has_finished(), self.arrivals.has_uploads())
-            {
+            // A context without a thread of its own uploads what has begun in this turn, not after a wait for an answer.
+            let has_begun = std::mem::replace(&mut uploading, self.arrivals.total().uploading) < uploading;
+            let is_ready = has_begun || self.arrivals.has_ready() || self.arrivals.has_finished();
+            let timeout = match (is_ready, self.arrivals.has_uploads()) {
                 // More pages are ready than one turn may take.
                 (true, _) => Duration::ZERO,
                 (false, true) => left().min(COMPILE_POLL),

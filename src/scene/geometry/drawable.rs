@@ -65,6 +65,20 @@ impl Drawable {
         self
     }
 
+    /// Stores the vertex format of a mesh. A decode thread checks all vertices here, so that the thread that uploads need not.
+    pub(crate) fn find_vertex_format(&mut self) {
+        let format = self.vertex_format();
+        if let Geometry::Mesh(mesh) = &self.geometry {
+            self.vertex_format = Some((Arc::downgrade(mesh), format));
+        }
+    }
+
+    /// Returns true if the vertex format of the mesh is stored.
+    #[cfg(test)]
+    pub(crate) fn has_vertex_format(&self) -> bool {
+        self.vertex_format.is_some()
+    }
+
     /// Returns the vertex format for the upload of a mesh. Checks all vertices if no reader has done so.
     pub(crate) fn vertex_format(&self) -> VertexFormat {
         let Geometry::Mesh(mesh) = &self.geometry else { return VertexFormat::Full };

@@ -377,6 +377,11 @@ impl Page {
         }
     }
 
+    /// Stores the vertex formats of the drawables, for their upload.
+    pub(crate) fn find_vertex_formats(&mut self) {
+        self.payload.find_vertex_formats();
+    }
+
     /// Returns true if no payload was taken.
     pub(crate) fn has_all_drawables(&self) -> bool {
         self.drawables().len() == self.drawable_count()

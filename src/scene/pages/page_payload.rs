@@ -106,6 +106,11 @@ impl PagePayload {
         self.hold_shared();
     }
 
+    /// Stores the vertex format of each drawable.
+    pub fn find_vertex_formats(&mut self) {
+        self.drawables.iter_mut().for_each(Drawable::find_vertex_format);
+    }
+
     /// Builds a k-d tree for each drawable, or takes the one of the shared content.
     pub fn build_kd_trees(&mut self) {
         // Instances of one mesh share its tree.

@@ -67,7 +67,8 @@ fn osg() -> Parser {
                 .to_owned(),
             "osg::Geode { UniqueID 90 Drawables 1 { osgText::Text { UniqueID 91 Font \"a.ttf\" FontSize 32 32 CharacterSize 3 1
             CharacterSizeMode SCREEN_COORDS MaximumWidth 9 LineSpacing 0.5 Text FALSE osg::UIntArray { UniqueID 92 vector 3 {
-            65 10 214 } } Position 1 2 3 Alignment CENTER_TOP AxisAlignment XZ_PLANE Rotation 1 0 0 0 Color 1 0 0 1 } } }"
+            65 10 214 } } Position 1 2 3 Alignment CENTER_TOP AxisAlignment XZ_PLANE Rotation 1 0 0 0 Color 1 0 0 1
+            BackdropType OUTLINE BackdropOffset 0.1 0.1 BackdropColor 0 0 0 1 } } }"
                 .to_owned(),
             "osg::Sequence { UniqueID 95 Children 1 { osg::MatrixTransform { UniqueID 96 UpdateCallback TRUE {
             osg::AnimationPathCallback { UniqueID 97 AnimationPath TRUE { osg::AnimationPath { UniqueID 98 TimeControlPointMap 1 {

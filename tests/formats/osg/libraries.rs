@@ -226,6 +226,59 @@ fn texts_are_letters_at_their_place() {
 
 #[test]
 #[cfg(feature = "text")]
+fn backdrops_of_texts_are_copies_behind_the_letters() {
+    let read_text = |kind: &str, offset: &str| {
+        let members = format!(
+            "Color 1 0 0 0.5 BackdropType {kind} BackdropImplementation 4 BackdropOffset {offset} BackdropColor 0 0 1 0.5"
+        );
+        let (node, ignored) = read(osgt(VERSION, &text("Text TRUE \"HH\"", &members)));
+        assert!(ignored.is_empty(), "{ignored:?}");
+        mesh(drawables(&node)[0]).vertices.clone()
+    };
+    // The letters are drawn last, in their colour. Each copy has two rectangles.
+    let offsets = |kind: &str, offset: &str| {
+        let vertices = read_text(kind, offset);
+        let (copies, letters) = vertices.split_at(vertices.len() - 8);
+        assert!(letters.iter().all(|vertex| vertex.color == [255, 0, 0, 128]), "{kind}");
+        assert!(copies.iter().all(|vertex| vertex.color == [0, 0, 255, 64]), "{kind}");
+        let offsets: Vec<[i32; 2]> = copies
+            .chunks_exact(8)
+            .map(|copy| {
+                let of = |i: usize, axis: usize| copy[i].position[axis] - letters[i].position[axis];
+                let all = [0, 1].map(|axis| of(0, axis));
+                assert!((0..8).all(|i| [0, 1].map(|axis| of(i, axis) - all[axis]).iter().all(|by| by.abs() < 1e-5)));
+                // Hundredths of the height, which is 10.
+                all.map(|by| (by * 10.0).round() as i32)
+            })
+            .collect();
+        offsets
+    };
+    for (kind, expected) in [
+        ("DROP_SHADOW_BOTTOM_RIGHT", [10, -5]),
+        ("DROP_SHADOW_CENTER_RIGHT", [10, 0]),
+        ("DROP_SHADOW_TOP_RIGHT", [10, 5]),
+        ("DROP_SHADOW_BOTTOM_CENTER", [0, -5]),
+        ("DROP_SHADOW_TOP_CENTER", [0, 5]),
+        ("DROP_SHADOW_BOTTOM_LEFT", [-10, -5]),
+        ("DROP_SHADOW_CENTER_LEFT", [-10, 0]),
+        ("DROP_SHADOW_TOP_LEFT", [-10, 5]),
+    ] {
+        assert_eq!(offsets(kind, "0.1 0.05"), [expected], "{kind}");
+    }
+    // An outline is as wide as 0.8 of the offset to the right, on every side.
+    let mut around = offsets("OUTLINE", "0.1 0.9");
+    around.sort_unstable();
+    let all = [-8, 0, 8].into_iter().flat_map(|right| [-8, 0, 8].map(|up| [right, up]));
+    assert_eq!(around, all.filter(|offset| *offset != [0, 0]).collect::<Vec<_>>());
+    assert!(offsets("NONE", "0.1 0.05").is_empty());
+    // Offsets that are larger than a letter are invalid.
+    for offset in ["nan 0", "1e30 0", "0 inf"] {
+        assert!(offsets("DROP_SHADOW_TOP_RIGHT", offset).is_empty(), "{offset}");
+    }
+}
+
+#[test]
+#[cfg(feature = "text")]
 fn texts_face_the_screen_and_keep_their_size() {
     use terrane::scene::{AutoScale, BillboardMode};
     const CAPPED: &str = "CharacterSizeMode OBJECT_COORDS_WITH_MAXIMUM_SCREEN_SIZE_CAPPED_BY_FONT_HEIGHT";
@@ -268,9 +321,12 @@ fn texts_read_the_same_in_every_format() {
         (letters(&node).1, all, kinds)
     };
     let numbers = "Text FALSE osg::UIntArray { UniqueID 9 vector 4 { 65 214 937 1046 } }";
-    let members = "Position 1 2 3 Alignment CENTER_TOP Rotation 0 1 0 0 DrawMode TEXT|BOUND Color 0 1 0 1 ColorGradientMode OVERALL";
+    let members = "Position 1 2 3 Alignment CENTER_TOP Rotation 0 1 0 0 DrawMode TEXT|BOUND Color 0 1 0 1
+        BackdropType DROP_SHADOW_BOTTOM_LEFT BackdropImplementation 4 BackdropOffset 0.125 0.0625 BackdropColor 0 0 1 0.5
+        ColorGradientMode OVERALL";
+    let backdrop = [0.125, 0.0625, 0.0, 0.0, 1.0, 0.5];
     let expected = letters_of(osgt(VERSION, &text(numbers, members)).as_bytes());
-    assert_eq!((expected.1.len(), expected.2.len()), (16, 2), "{:?}", expected.2);
+    assert_eq!((expected.1.len(), expected.2.len()), (32, 2), "{:?}", expected.2);
     // The characters of bytes: UTF-8, or one a byte.
     let mut file = Osgb::new(VERSION, false);
     let bytes = |file: &mut Osgb, text: &[u8]| {
@@ -284,7 +340,7 @@ fn texts_read_the_same_in_every_format() {
                 file.u32(0).f32s(&[0.0; 3]).raw(&[1, 1]);
                 bytes(file, "A\u{d6}\u{3a9}\u{416}".as_bytes());
                 file.f32s(&[1.0, 2.0, 3.0]).u32(3).u32(0).f64s(&[0.0, 1.0, 0.0, 0.0]).raw(&[0]).u32(0).u32(3);
-                file.f32s(&[0.0; 5]).f32s(&[0.0, 1.0, 0.0, 1.0]).u32(9).u32(2).raw(&[1]).f32s(&[0.0; 6]).u32(2);
+                file.f32s(&[0.0; 5]).f32s(&[0.0, 1.0, 0.0, 1.0]).u32(5).u32(2).raw(&[1]).f32s(&backdrop).u32(2);
                 file.raw(&[1]).block(|file| {
                     file.f64s(&[0.0; 16]);
                 });
@@ -295,7 +351,8 @@ fn texts_read_the_same_in_every_format() {
     let older = |characters: &str| {
         format!(
             "Geode {{\n osgText::Text {{\n color 0 1 0 1\n font arial.ttf\n fontResolution 32 40\n characterSize 10 1\n alignment CENTER_TOP
-            rotation 0 1 0 0\n layout LEFT_TO_RIGHT\n position 1 2 3\n drawMode 3\n {characters}\n colorGradientMode OVERALL\n }}\n}}\n"
+            rotation 0 1 0 0\n layout LEFT_TO_RIGHT\n position 1 2 3\n drawMode 3\n {characters}\n backdropType DROP_SHADOW_BOTTOM_LEFT
+            backdropHorizontalOffset 0.125\n backdropVerticalOffset 0.0625\n backdropColor 0 0 1 0.5\n colorGradientMode OVERALL\n }}\n}}\n"
         )
     };
     assert_eq!(letters_of(older("text 4 {\n 65 214 937 1046\n }").as_bytes()), expected);
@@ -303,7 +360,7 @@ fn texts_read_the_same_in_every_format() {
     let mut ive = kit::ive_files::Ive::new(45);
     ive.u32s(&[0, 6]).node("").u32s(&[1, 1, 0x1000_0001]).drawable().text("arial").u32s(&[32, 40]).f32s(&[10.0, 1.0]);
     ive.u32(0).f32s(&[0.0; 3]).u32(3).f32s(&[0.0, 1.0, 0.0, 0.0]).raw(&[0]).u32(0).f32s(&[1.0, 2.0, 3.0]);
-    ive.f32s(&[0.0, 1.0, 0.0, 1.0]).u32(3).f32s(&[0.0; 5]).u32(9).f32s(&[0.0; 6]).u32s(&[4, 2]).f32s(&[0.0; 16]);
+    ive.f32s(&[0.0, 1.0, 0.0, 1.0]).u32(3).f32s(&[0.0; 5]).u32(5).f32s(&backdrop).u32s(&[4, 2]).f32s(&[0.0; 16]);
     ive.raw(&[0]).u32s(&[4, 65, 214, 937, 1046]);
     assert_eq!(letters_of(&ive.bytes), expected);
     // Bytes that are no UTF-8 are a letter each, in all of them.

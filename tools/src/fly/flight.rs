@@ -26,7 +26,7 @@ use crate::args::FlyArgs;
 const HIDDEN_TIMEOUT: Duration = Duration::from_secs(10);
 /// The time between two frames offscreen while the first view loads. These frames are shown nowhere, and a software driver draws
 /// them on the cores that load.
-const UNSEEN_PERIOD: Duration = Duration::from_millis(100);
+const UNSEEN_PERIOD: Duration = Duration::from_millis(250);
 /// The longest time until the end of that loading is noticed.
 const UNSEEN_SLICE: Duration = Duration::from_millis(2);
 /// The time without progress of the pager after which waiting for the settled frame ends.

@@ -49,10 +49,14 @@ fn of_drawable(drawable: &DrawableObject) -> BoundingSphere {
     match &drawable.class {
         DrawableClass::Geometry(geometry) => {
             let Some(vertices) = &geometry.vertices else { return BoundingSphere::EMPTY };
-            let array = &vertices.array;
-            let point = |i| DVec3::from_array(array.first(i));
-            let points = (0..array.count()).map(point).filter(|point| point.is_finite());
-            box_sphere(&Aabb::from_points(points))
+            let mut bounds = Aabb::EMPTY;
+            vertices.array.for_each(0..vertices.array.count(), |point| {
+                let point = DVec3::from_array(point);
+                if point.is_finite() {
+                    bounds = bounds.with(point);
+                }
+            });
+            box_sphere(&bounds)
         }
         DrawableClass::Shape { shape, .. } => shape.as_ref().map_or(BoundingSphere::EMPTY, |shape| of_shape(shape)),
         DrawableClass::Text(text) => text::sphere(text),

@@ -9,7 +9,7 @@ use super::textures::BuiltTexture;
 use super::units::Unit;
 use super::{Builder, Meshes};
 use crate::formats::osg::error::{OsgError, Result};
-use crate::formats::osg::input::Values;
+use crate::formats::osg::input::{Number, Values};
 use crate::formats::osg::objects::{Binding, BoundArray, GeometryObject, Indices, PrimitiveObject};
 use crate::math::Aabb;
 use crate::math::color::linear_rgba;
@@ -54,7 +54,8 @@ impl UvSet {
 
     /// Returns the coordinates from the first row of the image, for a position or for the geometry's own s and t.
     pub fn mapped(&self, of: DVec3) -> [f32; 2] {
-        let [s, t] = self.map.map_or([of.x, of.y], |map| map.point(of)).map(|part| part as f32);
+        let [s, t] = self.map.map_or([of.x, of.y], |map| map.point(of));
+        let (s, t) = (s as f32, t as f32);
         // OSG's t goes up, Terrane's v down from the first row of an image.
         [s, if self.starts_at_bottom { t } else { 1.0 - t }]
     }
@@ -163,9 +164,9 @@ impl<'a> Attribute<'a> {
         }
     }
 
-    /// Returns the first values; integers are divided by their largest value if `scales`.
-    fn first<const N: usize>(&self, corner: Corner, scales: bool) -> [f64; N] {
-        self.array.first(self.element(corner), scales)
+    /// Passes the first values for each corner to `put`; integers are divided by their largest value if `scales`.
+    fn for_each<const N: usize>(&self, corners: impl Iterator<Item = Corner>, scales: bool, put: impl FnMut([f64; N])) {
+        self.array.for_each(corners.map(|corner| self.element(corner)), scales, put);
     }
 
     fn width(&self) -> usize {
@@ -173,60 +174,68 @@ impl<'a> Attribute<'a> {
     }
 }
 
-impl BoundArray {
-    /// Returns the number of elements, by the indices if there are some.
-    fn count(&self) -> usize {
-        self.indices.as_ref().map_or(self.array.count(), |indices| indices.count())
-    }
-
-    fn first<const N: usize>(&self, element: usize, scales: bool) -> [f64; N] {
-        let element = match &self.indices {
-            Some(indices) => indices.get(element, 0).max(0.0) as usize,
-            None => element,
-        };
-        let values = self.array.first(element);
-        if scales { values.map(|value| value / self.array.values.number().one()) } else { values }
-    }
-}
-
 impl Arrays<'_> {
-    fn position(&self, vertex: usize) -> DVec3 {
-        DVec3::from_array(self.positions.first(vertex, self.positions.is_normalized))
+    /// Passes the position of each vertex to `put`.
+    fn for_each_position(&self, vertices: impl Iterator<Item = usize>, mut put: impl FnMut(DVec3)) {
+        self.positions.for_each(vertices, self.positions.is_normalized, |position| put(DVec3::from_array(position)));
     }
 
-    /// Returns texture coordinates; zeros if the geometry has none.
-    fn uv(&self, uvs: &Uvs<'_>, corner: Corner) -> [f32; 2] {
+    /// Passes the texture coordinates of each corner to `put`; nothing if the geometry has none.
+    fn for_each_uv(&self, uvs: &Uvs<'_>, corners: impl Iterator<Item = Corner>, mut put: impl FnMut([f32; 2])) {
         match &uvs.array {
-            _ if uvs.set.is_of_positions() => uvs.set.mapped(self.position(corner.vertex)),
-            Some(array) => {
-                let [s, t] = array.first(corner, array.array.is_normalized);
-                uvs.set.mapped(DVec3::new(s, t, 0.0))
+            _ if uvs.set.is_of_positions() => {
+                self.for_each_position(corners.map(|corner| corner.vertex), |position| put(uvs.set.mapped(position)));
             }
-            None => [0.0; 2],
+            Some(array) => {
+                let is_normalized = array.array.is_normalized;
+                array.for_each(corners, is_normalized, |[s, t]| put(uvs.set.mapped(DVec3::new(s, t, 0.0))));
+            }
+            None => {}
         }
     }
 
-    fn vertex(&self, corner: Corner) -> MeshVertex {
-        let position = (self.position(corner.vertex) - self.origin).as_vec3().to_array();
-        let uv = self.uv(&self.uvs, corner);
-        let normal = self.normals.map_or([0; 4], |normals| {
-            let normal = DVec3::from_array(normals.first(corner, true)).normalize_or_zero();
-            // The cast cuts, as rounding is a call on processors without an instruction for it.
-            let [x, y, z] = normal.to_array().map(|part| (part * 127.0 + 0.5_f64.copysign(part)) as i8);
-            [x, y, z, 0]
+    /// Makes the vertices of corners, one array after the other.
+    fn vertices(&self, corners: &(impl Iterator<Item = Corner> + Clone)) -> Vec<MeshVertex> {
+        let mut vertices: Vec<MeshVertex> = Vec::with_capacity(corners.size_hint().0);
+        self.for_each_position(corners.clone().map(|corner| corner.vertex), |position| {
+            let position = (position - self.origin).as_vec3().to_array();
+            vertices.push(MeshVertex { position, uv: [0.0; 2], normal: [0; 4], color: [255; 4] });
         });
-        let color = self.colors.map_or([255; 4], |colors| {
-            let mut color: [f64; 4] = colors.first(corner, true);
-            color.iter_mut().skip(colors.width()).for_each(|part| *part = 1.0);
-            linear_rgba(color.map(|part| part as f32)).map(|part| (part * 255.0).round() as u8)
-        });
-        MeshVertex { position, uv, normal, color }
+        let mut each = vertices.iter_mut();
+        self.for_each_uv(&self.uvs, corners.clone(), |uv| each.next().into_iter().for_each(|vertex| vertex.uv = uv));
+        if let Some(normals) = self.normals {
+            let mut each = vertices.iter_mut();
+            normals.for_each(corners.clone(), true, |normal| {
+                let normal = packed_normal(DVec3::from_array(normal));
+                each.next().into_iter().for_each(|vertex| vertex.normal = normal);
+            });
+        }
+        if let Some(colors) = self.colors {
+            let mut each = vertices.iter_mut();
+            colors.for_each(corners.clone(), true, |mut color: [f64; 4]| {
+                color.iter_mut().skip(colors.width()).for_each(|part| *part = 1.0);
+                let color = linear_rgba(color.map(|part| part as f32)).map(|part| (part * 255.0).round() as u8);
+                each.next().into_iter().for_each(|vertex| vertex.color = color);
+            });
+        }
+        vertices
     }
 
     /// Returns true if some array has an element for each primitive set or primitive: vertices differ between them.
     fn binds(&self, binding: Binding) -> bool {
         [self.normals, self.colors, self.uvs.array].into_iter().flatten().any(|attribute| attribute.binding == binding)
     }
+}
+
+/// Returns a normal in the format of vertices.
+fn packed_normal(normal: DVec3) -> [i8; 4] {
+    /// Squares of lengths that are nearer to 1 count as 1: less than a hundredth of the format's step.
+    const MAX_DEVIATION: f64 = 1e-4;
+    let is_unit = (normal.length_squared() - 1.0).abs() < MAX_DEVIATION;
+    let normal = if is_unit { normal } else { normal.normalize_or_zero() };
+    // The cast cuts, as rounding is a call on processors without an instruction for it.
+    let packed = |part: f64| (part * 127.0 + 0.5_f64.copysign(part)) as i8;
+    [packed(normal.x), packed(normal.y), packed(normal.z), 0]
 }
 
 impl Builder<'_> {
@@ -247,13 +256,16 @@ impl Builder<'_> {
             third: uv_sets.third.map(uvs),
             origin: DVec3::ZERO,
         };
-        let points = || (0..count).map(|vertex| arrays.position(vertex));
-        if !points().all(|point| point.is_finite()) {
+        let mut is_finite = true;
+        arrays.for_each_position(0..count, |position| is_finite &= position.is_finite());
+        if !is_finite {
             return Err(OsgError::invalid("a vertex whose position is not finite"));
         }
         if matches!(positions.array.values, Values::F64(_)) {
             // Positions on the GPU have 24 bits, so that they must be near their origin.
-            arrays.origin = Aabb::from_points(points()).center();
+            let mut bounds = Aabb::EMPTY;
+            arrays.for_each_position(0..count, |position| bounds = bounds.with(position));
+            arrays.origin = bounds.center();
         }
         let has_normals = arrays.normals.is_some();
         let meshes = if arrays.binds(Binding::PerPrimitiveSet) || arrays.binds(Binding::PerPrimitive) {
@@ -279,12 +291,13 @@ impl Builder<'_> {
         let is_single = lists.iter().filter(|list| !list.is_empty()).count() == 1;
         let mut meshes = Vec::new();
         for (topology, mut list) in TOPOLOGIES.into_iter().zip(lists).filter(|(_, list)| !list.is_empty()) {
-            let used = if is_single { (0..arrays.count as u32).collect() } else { compacted(&mut list, arrays.count) };
-            let corner = |vertex: &u32| Corner { vertex: *vertex as usize, set: 0, primitive: 0 };
-            let corners: Vec<Corner> = used.iter().map(corner).collect();
-            let vertices = corners.iter().map(|corner| arrays.vertex(*corner)).collect();
-            let attributes = self.attributes(geometry, &corners, arrays)?;
-            meshes.push(Mesh { attributes, ..Mesh::new(vertices, list, topology) });
+            let corner = |vertex: usize| Corner { vertex, set: 0, primitive: 0 };
+            meshes.push(if is_single {
+                self.mesh(geometry, arrays, &(0..arrays.count).map(corner), list, topology)?
+            } else {
+                let used = compacted(&mut list, arrays.count);
+                self.mesh(geometry, arrays, &used.iter().map(|vertex| corner(*vertex as usize)), list, topology)?
+            });
         }
         Ok(meshes)
     }
@@ -313,11 +326,22 @@ impl Builder<'_> {
         }
         let mut meshes = Vec::new();
         for (topology, (corners, indices)) in TOPOLOGIES.into_iter().zip(parts) {
-            let vertices = corners.iter().map(|corner| arrays.vertex(*corner)).collect();
-            let attributes = self.attributes(geometry, &corners, arrays)?;
-            meshes.push(Mesh { attributes, ..Mesh::new(vertices, indices, topology) });
+            meshes.push(self.mesh(geometry, arrays, &corners.iter().copied(), indices, topology)?);
         }
         Ok(meshes)
+    }
+
+    /// Makes a mesh of corners.
+    fn mesh(
+        &self,
+        geometry: &GeometryObject,
+        arrays: &Arrays<'_>,
+        corners: &(impl Iterator<Item = Corner> + Clone),
+        indices: Vec<u32>,
+        topology: Topology,
+    ) -> Result<Mesh> {
+        let attributes = self.attributes(geometry, corners, arrays)?;
+        Ok(Mesh { attributes, ..Mesh::new(arrays.vertices(corners), indices, topology) })
     }
 
     /// Returns the vertices of a primitive set: one list, or one for each length. Fails if one is outside of the arrays.
@@ -355,8 +379,13 @@ impl Builder<'_> {
             }
             Indices::Elements(values) => {
                 self.count_indices(values.len())?;
-                let indices: Vec<u32> = (0..values.len()).map(|i| values.get(i) as u32).collect();
-                match indices.iter().find(|index| **index as usize >= vertices) {
+                let indices: Vec<u32> = match values {
+                    Values::Whole(Number::U8 | Number::U16 | Number::U32, values) => {
+                        values.iter().map(|index| *index as u32).collect()
+                    }
+                    _ => (0..values.len()).map(|i| values.get(i) as u32).collect(),
+                };
+                match indices.iter().max().filter(|index| **index as usize >= vertices) {
                     Some(index) => Err(OsgError::invalid(format!("index {index} of {vertices} vertices"))),
                     None => Ok(vec![indices]),
                 }
@@ -380,15 +409,21 @@ impl Builder<'_> {
     }
 
     /// Returns the second and third texture coordinates, and the further ones that the options ask for.
-    fn attributes(&self, geometry: &GeometryObject, used: &[Corner], arrays: &Arrays<'_>) -> Result<VertexAttributes> {
+    fn attributes(
+        &self,
+        geometry: &GeometryObject,
+        corners: &(impl Iterator<Item = Corner> + Clone),
+        arrays: &Arrays<'_>,
+    ) -> Result<VertexAttributes> {
         let mut attributes = VertexAttributes::default();
         let mut add = |name: &str, uvs: &Uvs<'_>| {
             if uvs.array.is_none() && !uvs.set.is_of_positions() {
                 return Ok(());
             }
-            let values: Vec<[f32; 2]> = used.iter().map(|corner| arrays.uv(uvs, *corner)).collect();
+            let mut values: Vec<[f32; 2]> = Vec::with_capacity(corners.size_hint().0);
+            arrays.for_each_uv(uvs, corners.clone(), |uv| values.push(uv));
             let bytes = bytemuck::cast_slice(&values).into();
-            let pushed = attributes.push(used.len(), name, AttributeFormat::Float32x2, bytes);
+            let pushed = attributes.push(values.len(), name, AttributeFormat::Float32x2, bytes);
             pushed.map_err(|error| OsgError::invalid(error.to_string()))
         };
         let further = [(SecondUv::ATTRIBUTE, &arrays.second), (SecondUv::THIRD_ATTRIBUTE, &arrays.third)];
@@ -460,6 +495,21 @@ mod tests {
         let mut list = [7, 3, 7, 9, 3];
         assert_eq!(compacted(&mut list, 10), [7, 3, 9]);
         assert_eq!(list, [0, 1, 0, 2, 1]);
+    }
+
+    #[test]
+    fn normals_are_packed_at_unit_length() {
+        let near = |a: [i8; 4], b: [i8; 4]| a.iter().zip(b).all(|(a, b)| a.abs_diff(b) <= 1);
+        for direction in [DVec3::X, -DVec3::Z, DVec3::new(1.0, -2.0, 3.0), DVec3::ONE] {
+            let unit = packed_normal(direction.normalize());
+            for length in [0.99996, 1.00004, 0.9, 1e-30, 1e30] {
+                let packed = packed_normal(direction.normalize() * length);
+                assert!(near(packed, unit), "{packed:?} and {unit:?} of length {length}");
+            }
+        }
+        assert_eq!(packed_normal(DVec3::ZERO), [0; 4]);
+        assert_eq!(packed_normal(DVec3::NAN), [0; 4]);
+        assert_eq!(packed_normal(DVec3::X), [127, 0, 0, 0]);
     }
 
     #[test]

@@ -6,8 +6,8 @@ use super::Reader;
 use super::fields::{Block, rotation};
 use crate::formats::osg::input::value_of;
 use crate::formats::osg::text::{
-    ALIGNMENTS, AXES, DECORATIONS, FADING, GRADIENTS, LAYOUTS, LETTERS_ALONE, SCREEN, SIZE_MODES, SOLIDS, TextObject,
-    rotation_of_axis, text_of_numbers,
+    ALIGNMENTS, AXES, BACKDROPS, BOXES, FADING, GRADIENTS, LAYOUTS, LETTERS_ALONE, NO_BACKDROP, SCREEN, SIZE_MODES,
+    SOLIDS, TextObject, rotation_of_axis, text_of_numbers,
 };
 
 impl Reader {
@@ -42,9 +42,16 @@ impl Reader {
                 None => block.word("text").to_owned(),
             };
         }
-        if mode & !LETTERS_ALONE != 0 || !matches!(block.word("backdropType"), "" | "NONE") {
-            self.notes.add(DECORATIONS);
+        if mode & !LETTERS_ALONE != 0 {
+            self.notes.add(BOXES);
         }
+        let backdrop = &mut text.backdrop;
+        backdrop.kind = value_of(BACKDROPS, block.word("backdropType")).unwrap_or(NO_BACKDROP);
+        for (offset, name) in backdrop.offset.iter_mut().zip(["backdropHorizontalOffset", "backdropVerticalOffset"]) {
+            *offset = block.value(name).unwrap_or(*offset);
+        }
+        backdrop.color =
+            block.values("backdropColor").map_or(backdrop.color, |color| color.map(|part: f64| part as f32));
         if !matches!(block.word("colorGradientMode"), "" | "SOLID") {
             self.notes.add(GRADIENTS);
         }

@@ -67,20 +67,6 @@ impl Values {
         }
     }
 
-    /// Returns the values from an index on; 0 for those beyond the end.
-    #[inline]
-    pub fn array<const N: usize>(&self, first: usize) -> [f64; N] {
-        let last = first.saturating_add(N);
-        match self {
-            Self::F32(values) if last <= values.len() => {
-                let mut all = [0.0; N];
-                all.iter_mut().zip(&values[first..last]).for_each(|(to, from)| *to = f64::from(*from));
-                all
-            }
-            _ => std::array::from_fn(|i| self.get(first.saturating_add(i))),
-        }
-    }
-
     /// Returns the type of the values.
     pub fn number(&self) -> Number {
         match self {
@@ -94,23 +80,5 @@ impl Values {
     pub fn size_bytes(&self) -> u64 {
         let each = if matches!(self, Self::F64(_)) { 8 } else { 4 };
         (self.len() * each) as u64
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn arrays_are_the_values_one_by_one() {
-        let all = [
-            Values::F32(vec![1.0, 2.5, -3.0, 4.0]),
-            Values::F64(vec![1.0, 2.5, -3.0, 4.0]),
-            Values::Whole(Number::U32, vec![1, -1, 3, 4]),
-        ];
-        for (values, first) in all.iter().flat_map(|values| [0, 1, 2, 5, usize::MAX].map(|first| (values, first))) {
-            let one_by_one = [0, 1, 2].map(|i| values.get(first.saturating_add(i)));
-            assert_eq!(values.array(first), one_by_one, "{values:?} from {first}");
-        }
     }
 }

@@ -7,7 +7,7 @@ use crate::formats::osg::error::Result;
 use crate::formats::osg::input::{Input as _, Number};
 use crate::formats::osg::objects::{DrawableClass, DrawableObject, Object, StateObject};
 use crate::formats::osg::text::{
-    DECORATIONS, FADING, GRADIENTS, LAYOUTS, LETTERS_ALONE, SOLIDS, TextObject, text_of_numbers,
+    BOXES, FADING, GRADIENTS, LAYOUTS, LETTERS_ALONE, SOLIDS, TextObject, text_of_numbers,
 };
 
 /// The members that all drawables have.
@@ -110,17 +110,20 @@ impl Reader<'_> {
             text.color = self.floats()?;
         }
         let mode = self.unsigned()?;
-        let mut is_decorated = mode & !LETTERS_ALONE != 0;
+        if mode & !LETTERS_ALONE != 0 {
+            self.notes.add(BOXES);
+        }
         if is_flat {
             if self.version >= 41 {
                 // The box around it.
                 self.floats::<5>()?;
             }
             if self.version >= 28 {
-                const NO_BACKDROP: u32 = 9;
-                is_decorated |= self.unsigned()? != NO_BACKDROP;
-                // Its offset, colour and implementation.
-                self.integers::<7>()?;
+                text.backdrop.kind = self.unsigned()?;
+                text.backdrop.offset = self.floats()?.map(f64::from);
+                text.backdrop.color = self.floats()?;
+                // How OSG draws it.
+                self.unsigned()?;
                 if self.unsigned()? != 0 {
                     self.notes.add(GRADIENTS);
                 }
@@ -133,9 +136,6 @@ impl Reader<'_> {
         }
         if class == ids::FADE_TEXT {
             self.notes.add(FADING);
-        }
-        if is_decorated {
-            self.notes.add(DECORATIONS);
         }
         let characters = self.characters()?;
         if mode & LETTERS_ALONE != 0 {

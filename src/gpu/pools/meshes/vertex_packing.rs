@@ -123,11 +123,12 @@ pub(super) fn fits_short_indices(max_index: u32, count: usize) -> bool {
 
 /// Returns the bytes of indices with 16 bits, padded to a multiple of 4 bytes.
 pub(in crate::gpu) fn short_index_bytes<'a>(indices: &[u32], scratch: &'a mut Vec<u8>) -> &'a [u8] {
-    scratch.clear();
-    for index in indices {
-        scratch.extend_from_slice(&(*index as u16).to_ne_bytes());
+    let bytes = 2 * indices.len();
+    let scratch = resized(scratch, bytes.next_multiple_of(4));
+    for (index, short) in indices.iter().zip(scratch.as_chunks_mut::<2>().0) {
+        *short = (*index as u16).to_ne_bytes();
     }
-    scratch.resize(scratch.len().next_multiple_of(4), 0);
+    scratch[bytes..].fill(0);
     scratch
 }
 
@@ -234,8 +235,10 @@ mod tests {
     #[test]
     fn short_indices_are_padded_to_whole_words() {
         let mut scratch = Vec::new();
-        assert_eq!(short_index_bytes(&[1, 2, 65534], &mut scratch).len(), 8);
-        assert_eq!(bytemuck::pod_collect_to_vec::<u8, u16>(&scratch), [1, 2, 65534, 0]);
+        // The scratch memory has the contents of earlier calls.
+        assert_eq!(short_index_bytes(&[7; 9], &mut scratch).len(), 20);
+        let bytes = short_index_bytes(&[1, 2, 65534], &mut scratch);
+        assert_eq!(bytemuck::pod_collect_to_vec::<u8, u16>(bytes), [1, 2, 65534, 0]);
         assert!(fits_short_indices(65534, 49) && !fits_short_indices(65535, 49) && !fits_short_indices(5, 48));
     }
 }

@@ -144,7 +144,8 @@ pub(super) fn reach(text: &TextObject) -> f64 {
         let [low, high] = lines.corners(letter, *at);
         [low, high, DVec2::new(low.x, high.y), DVec2::new(high.x, low.y)]
     });
-    corners.map(DVec2::length).fold(0.0, f64::max)
+    let backdrop = text.backdrop.offsets().map(|offset| (offset * lines.unit).length()).fold(0.0, f64::max);
+    corners.map(DVec2::length).fold(0.0, f64::max) + backdrop
 }
 
 impl Builder<'_> {
@@ -159,28 +160,35 @@ impl Builder<'_> {
             self.note("OpenSceneGraph: letters that the typeface lacks (drawn as boxes)");
         }
         let limit = self.source.options.limits.max_elements;
-        let more = lines.letters.len().saturating_mul(4);
+        let offsets = text.backdrop.offsets();
+        let more = lines.letters.len().saturating_mul(4 * (offsets.clone().count() + 1));
         self.vertices = self.count(self.vertices, more, "vertices of an OpenSceneGraph file", limit)?;
-        let color = linear_rgba(text.color).map(|part| (part * 255.0).round() as u8);
         let [nx, ny, nz] = (text.rotation * DVec3::Z).to_array().map(|part| (part * 127.0).round() as i8);
+        let packed = |color: [f32; 4]| linear_rgba(color).map(|part| (part * 255.0).round() as u8);
+        let mut backdrop_color = text.backdrop.color;
+        backdrop_color[3] *= text.color[3];
+        let backdrops = offsets.map(|offset| (offset * lines.unit, packed(backdrop_color)));
         let mut pages: Vec<(usize, Vec<MeshVertex>)> = Vec::new();
-        for (letter, at) in &lines.letters {
-            let known = pages.iter().position(|(page, _)| *page == letter.page);
-            let known = known.unwrap_or_else(|| {
-                pages.push((letter.page, Vec::new()));
-                pages.len() - 1
-            });
-            let ([low, high], [low_uv, high_uv]) = (lines.corners(letter, *at), letter.uvs);
-            let vertex = |x: f64, y: f64, uv: [f32; 2]| {
-                let position = (text.rotation * DVec3::new(x, y, 0.0)).as_vec3().to_array();
-                MeshVertex { position, uv, normal: [nx, ny, nz, 0], color }
-            };
-            pages[known].1.extend([
-                vertex(low.x, low.y, low_uv),
-                vertex(high.x, low.y, [high_uv[0], low_uv[1]]),
-                vertex(high.x, high.y, high_uv),
-                vertex(low.x, high.y, [low_uv[0], high_uv[1]]),
-            ]);
+        // Letters that are drawn later cover those before, so that none lies below the backdrop of its neighbour.
+        for (offset, color) in backdrops.chain([(DVec2::ZERO, packed(text.color))]) {
+            for (letter, at) in &lines.letters {
+                let known = pages.iter().position(|(page, _)| *page == letter.page);
+                let known = known.unwrap_or_else(|| {
+                    pages.push((letter.page, Vec::new()));
+                    pages.len() - 1
+                });
+                let ([low, high], [low_uv, high_uv]) = (lines.corners(letter, *at + offset), letter.uvs);
+                let vertex = |x: f64, y: f64, uv: [f32; 2]| {
+                    let position = (text.rotation * DVec3::new(x, y, 0.0)).as_vec3().to_array();
+                    MeshVertex { position, uv, normal: [nx, ny, nz, 0], color }
+                };
+                pages[known].1.extend([
+                    vertex(low.x, low.y, low_uv),
+                    vertex(high.x, low.y, [high_uv[0], low_uv[1]]),
+                    vertex(high.x, high.y, high_uv),
+                    vertex(low.x, high.y, [low_uv[0], high_uv[1]]),
+                ]);
+            }
         }
         pages.into_iter().map(|(page, vertices)| self.drawable_of_letters(page, vertices)).collect()
     }

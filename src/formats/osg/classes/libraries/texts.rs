@@ -3,11 +3,10 @@
 use crate::formats::osg::classes::Reader;
 use crate::formats::osg::classes::geometry::VERSION_OF_ARRAY_OBJECTS;
 use crate::formats::osg::error::Result;
-use crate::formats::osg::input::Names;
 use crate::formats::osg::objects::{DrawableClass, Object};
 use crate::formats::osg::text::{
-    ALIGNMENTS, AXES, DECORATIONS, FADING, GRADIENTS, LAYOUT_NAMES, LAYOUTS, LETTERS_ALONE, SCREEN, SIZE_MODES, SOLIDS,
-    TextObject, rotation_of_axis, text_of_numbers,
+    ALIGNMENTS, AXES, BACKDROPS, BOXES, FADING, GRADIENTS, LAYOUT_NAMES, LAYOUTS, LETTERS_ALONE, NO_BACKDROP, SCREEN,
+    SIZE_MODES, SOLIDS, TextObject, rotation_of_axis, text_of_numbers,
 };
 
 /// The version since which the mode of drawing is a member like others.
@@ -74,7 +73,7 @@ impl Reader<'_> {
             text.text.clear();
         }
         if mode & !LETTERS_ALONE != 0 {
-            self.notes.add(DECORATIONS);
+            self.notes.add(BOXES);
         }
         self.float_member("BoundingBoxMargin", 0.0)?;
         self.floats_member("BoundingBoxColor", [0.0; 4])?;
@@ -115,23 +114,8 @@ impl Reader<'_> {
 
     /// Reads the members of the class Text.
     fn flat_text(&mut self, text: &mut TextObject) -> Result<()> {
-        const NONE: u32 = 9;
-        const BACKDROPS: Names = &[
-            ("DROP_SHADOW_BOTTOM_RIGHT", 0),
-            ("DROP_SHADOW_CENTER_RIGHT", 1),
-            ("DROP_SHADOW_TOP_RIGHT", 2),
-            ("DROP_SHADOW_BOTTOM_CENTER", 3),
-            ("DROP_SHADOW_TOP_CENTER", 4),
-            ("DROP_SHADOW_BOTTOM_LEFT", 5),
-            ("DROP_SHADOW_CENTER_LEFT", 6),
-            ("DROP_SHADOW_TOP_LEFT", 7),
-            ("OUTLINE", 8),
-            ("NONE", NONE),
-        ];
         text.color = self.floats_member("Color", text.color)?;
-        if self.named_member("BackdropType", BACKDROPS, NONE)? != NONE {
-            self.notes.add(DECORATIONS);
-        }
+        text.backdrop.kind = self.named_member("BackdropType", BACKDROPS, NO_BACKDROP)?;
         // Versions differ in the names of the ways to draw it.
         if self.member("BackdropImplementation")? {
             match self.input.is_text() {
@@ -140,9 +124,9 @@ impl Reader<'_> {
             }
         }
         if self.marked_member("BackdropOffset")? {
-            self.floats::<2>()?;
+            text.backdrop.offset = self.floats()?.map(f64::from);
         }
-        self.floats_member("BackdropColor", [0.0; 4])?;
+        text.backdrop.color = self.floats_member("BackdropColor", text.backdrop.color)?;
         if self.named_member("ColorGradientMode", &[("SOLID", 0), ("PER_CHARACTER", 1), ("OVERALL", 2)], 0)? != 0 {
             self.notes.add(GRADIENTS);
         }
