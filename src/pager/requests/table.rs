@@ -18,7 +18,7 @@ use crate::pager::scenes::read_scope::{ReadScope, TilesetAncestors};
 use crate::pager::scenes::scene_set::SceneSet;
 use crate::scene::{NodeId, PagingOptions, ReaderData, SceneNumber, SlotInfo};
 
-/// Failures that are remembered: each frame iterates over them. Beyond that, those are forgotten that no camera meets.
+/// Failures that are remembered. Beyond that, those are forgotten that no camera meets.
 const MAX_FAILURES: usize = 4096;
 
 /// The priority of a content that continues a tile tree, in multiples of that of its tile. It is small, and the contents of the
@@ -53,8 +53,12 @@ impl Changes {
 pub(in crate::pager) struct RequestTable {
     /// Requests that wait for a thread; the one renewed longest ago is the least recently used.
     pub(super) waiting: LruCache<NodeId, Entry>,
-    /// Requests that are loading, have arrived, or have failed.
+    /// Requests that are loading or have arrived.
     begun: HashMap<NodeId, Entry>,
+    /// Requests that have failed. No update looks at all of them, unless the back-off of one is over.
+    failed: HashMap<NodeId, Entry>,
+    /// The end of the first back-off, or an earlier moment; `None` if nothing will be retried.
+    next_retry: Option<Instant>,
     /// Waiting requests that are prefetches. Looked at in no order.
     pub(super) prefetches: HashSet<NodeId>,
     /// Waiting requests whose size is known, since they were declined. Looked at in no order.
@@ -78,6 +82,8 @@ impl RequestTable {
         Self {
             waiting: LruCache::unbounded(),
             begun: HashMap::new(),
+            failed: HashMap::new(),
+            next_retry: None,
             prefetches: HashSet::new(),
             sized: HashSet::new(),
             changes: ListChanges::default(),
@@ -92,7 +98,7 @@ impl RequestTable {
 
     /// Returns the entry of a slot.
     pub fn get(&self, slot: NodeId) -> Option<&Entry> {
-        self.waiting.peek(&slot).or_else(|| self.begun.get(&slot))
+        self.waiting.peek(&slot).or_else(|| self.begun.get(&slot)).or_else(|| self.failed.get(&slot))
     }
 
     /// Returns the entry that a job belongs to; `None` if the job is of an earlier attempt or its slot is gone.
@@ -102,10 +108,10 @@ impl RequestTable {
 
     /// Returns all entries, in no order.
     pub fn iter(&self) -> impl Iterator<Item = (NodeId, &Entry)> + Clone + '_ {
-        self.waiting.iter().chain(self.begun.iter()).map(|(slot, entry)| (*slot, entry))
+        self.waiting.iter().chain(&self.begun).chain(&self.failed).map(|(slot, entry)| (*slot, entry))
     }
 
-    /// Returns the entries that do not wait for a thread, in no order.
+    /// Returns the entries that are loading or have arrived, in no order.
     pub fn begun(&self) -> impl Iterator<Item = (NodeId, &Entry)> + '_ {
         self.begun.iter().map(|(slot, entry)| (*slot, entry))
     }
@@ -156,15 +162,24 @@ impl RequestTable {
 
     /// Removes the entry of a slot.
     pub fn remove(&mut self, slot: NodeId) -> Option<Entry> {
-        self.remove_waiting(slot).or_else(|| self.begun.remove(&slot))
+        self.remove_waiting(slot).or_else(|| self.begun.remove(&slot)).or_else(|| self.failed.remove(&slot))
     }
 
     /// Changes an entry that does not wait any more, and returns the result.
     pub fn begin<R>(&mut self, slot: NodeId, change: impl FnOnce(&mut Entry) -> R) -> Option<R> {
-        if let Some(entry) = self.remove_waiting(slot) {
-            self.begun.insert(slot, entry);
+        let mut entry = self.remove(slot)?;
+        let result = change(&mut entry);
+        self.insert_begun(entry);
+        Some(result)
+    }
+
+    /// Inserts an entry that does not wait.
+    fn insert_begun(&mut self, entry: Entry) {
+        if let Progress::Failed { retry_at: Some(at) } = entry.progress {
+            self.next_retry = Some(self.next_retry.map_or(at, |next| next.min(at)));
         }
-        self.begun.get_mut(&slot).map(change)
+        let entries = if entry.has_failed() { &mut self.failed } else { &mut self.begun };
+        entries.insert(entry.job.slot, entry);
     }
 
     /// Removes and returns the entries for which `condition` holds.
@@ -189,13 +204,13 @@ impl RequestTable {
             }
             return true;
         }
-        let Some(entry) = self.begun.get_mut(&slot) else { return false };
+        let Some(entry) = self.begun.get_mut(&slot).or_else(|| self.failed.get_mut(&slot)) else { return false };
         changes.has_sooner |= request.ahead_frames == 0 && entry.is_prefetch();
         let before = entry.urgency();
         entry.renew(request, frame);
         match entry.progress {
             Progress::Retryable => {
-                if let Some(entry) = self.begun.remove(&slot) {
+                if let Some(entry) = self.failed.remove(&slot) {
                     self.requeue(entry);
                     changes.retried += 1;
                 }
@@ -297,58 +312,58 @@ impl RequestTable {
         let Some(mut entry) = self.remove_waiting(slot) else { return };
         entry.job.ticket.trace_end(RequestEnd::Stale);
         if entry.end_unwanted() {
-            self.begun.insert(slot, entry);
+            self.insert_begun(entry);
         }
     }
 
     /// Makes failures retryable whose back-off is over; their failure counts stay. If there are too many, those are forgotten
     /// whose slots no camera has met for long: `is_unused` holds of the frame in which a cull last met the slot.
     pub fn retry_due(&mut self, scenes: &mut dyn SceneSet, is_unused: impl Fn(u32) -> bool) {
-        let now = Instant::now();
-        for entry in self.begun.values_mut().filter(|entry| entry.is_due(now)) {
-            scenes.set_failed(entry.job.slot, false);
-            entry.progress = Progress::Retryable;
+        if self.has_due() {
+            let now = Instant::now();
+            for entry in self.failed.values_mut().filter(|entry| entry.is_due(now)) {
+                scenes.set_failed(entry.job.slot, false);
+                entry.progress = Progress::Retryable;
+            }
+            self.next_retry = self.failed.values().filter_map(Entry::retry_at).min();
         }
-        let failures = || self.begun.values().filter(|entry| entry.has_failed()).count();
-        if self.begun.len() > MAX_FAILURES && failures() > MAX_FAILURES {
+        if self.failed.len() > MAX_FAILURES {
             self.forget_failures(scenes, is_unused);
         }
     }
 
     /// Forgets failures whose slots no cull has met for long; they are requested once more when they are met.
     fn forget_failures(&mut self, scenes: &mut dyn SceneSet, is_unused: impl Fn(u32) -> bool) {
-        self.begun.retain(|slot, entry| {
+        self.failed.retain(|slot, _| {
             let is_met = scenes.slot(*slot).is_some_and(|slot| !is_unused(slot.last_used_frame));
-            let is_kept = !entry.has_failed() || is_met;
-            if !is_kept {
+            if !is_met {
                 scenes.forget_failure(*slot);
             }
-            is_kept
+            is_met
         });
     }
 
     /// Ends the back-off of a failed slot; one without an entry only loses its failure mark.
     pub fn retry_now(&mut self, scenes: &mut dyn SceneSet, slot: NodeId) {
-        match self.begun.get_mut(&slot) {
+        match self.failed.get_mut(&slot) {
             Some(entry) if !matches!(entry.progress, Progress::Failed { .. }) => return,
             Some(entry) => entry.progress = Progress::Retryable,
-            None if self.waiting.contains(&slot) => return,
+            None if self.waiting.contains(&slot) || self.begun.contains_key(&slot) => return,
             None => {}
         }
         scenes.set_failed(slot, false);
     }
 
-    /// Returns true if the back-off of a failure is over, so that the next update makes it retryable.
+    /// Returns true if the back-off of a failure may be over, so that the next update makes it retryable.
     pub fn has_due(&self) -> bool {
-        let now = Instant::now();
-        self.begun.values().any(|entry| entry.is_due(now))
+        self.next_retry.is_some_and(|at| at <= Instant::now())
     }
 
     /// Replaces the read scope of all requests of a scene.
     pub fn set_scope(&mut self, scene: SceneNumber, scope: &Arc<ReadScope>) {
         let waiting = self.waiting.iter_mut().map(|(_, entry)| entry);
         let of_scene = |entry: &&mut Entry| entry.job.slot.page.scene == scene;
-        for entry in waiting.chain(self.begun.values_mut()).filter(of_scene) {
+        for entry in waiting.chain(self.begun.values_mut()).chain(self.failed.values_mut()).filter(of_scene) {
             entry.job.scope = scope.clone();
             // The list, or a thread that took the job meanwhile, has a copy of it: that one is of an earlier attempt now.
             if entry.listed.take().is_some() {
