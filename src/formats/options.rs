@@ -159,6 +159,14 @@ pub trait ContentReader: std::fmt::Debug + Send + Sync {
         Vec::new()
     }
 
+    /// Returns the bytes of memory that [`Self::read`] is about to allocate, as far as the content tells, such as by its header. A
+    /// content that needs more than is free waits until it is its turn: one such content at a time is read and held until its page
+    /// is in use. 0 by default, so that nothing waits.
+    fn decoded_bytes(&self, uri: &str, bytes: &[u8]) -> u64 {
+        let _ = (uri, bytes);
+        0
+    }
+
     /// Reads a content. `files` are the files of its references, by their URI. Positions are in the frame of the tile.
     ///
     /// # Errors
@@ -188,4 +196,46 @@ pub struct Content {
     /// The files that [`companions`](super::companions) returned, then those that [`dependencies`](super::dependencies)
     /// returned.
     pub companions: Vec<Fetched>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fetch::{ByteBudget, LargeContents, Limits};
+    use crate::formats::read::decode;
+
+    /// Reads nothing from contents whose first byte is the number of bytes that they take.
+    #[derive(Debug)]
+    struct Sized;
+
+    impl ContentReader for Sized {
+        fn accepts(&self, uri: &str, _bytes: &[u8]) -> bool {
+            uri.ends_with(".sized")
+        }
+
+        fn decoded_bytes(&self, _uri: &str, bytes: &[u8]) -> u64 {
+            bytes[0].into()
+        }
+
+        fn read(&self, _uri: &str, _bytes: &[u8], _files: &[Fetched], _options: &ReadOptions) -> Result<Node, String> {
+            Ok(Node::group(Vec::new()))
+        }
+    }
+
+    /// Regression: what the readers of an application allocate did not count in the budget of loads.
+    #[test]
+    fn memory_of_own_readers_counts_in_the_budget() {
+        let (budget, large) = (ByteBudget::new(1000), LargeContents::default());
+        let options = ReadOptions {
+            readers: Arc::new([Arc::new(Sized)]),
+            ..ReadOptions::for_root("/set/root.sized", Limits::default())
+        };
+        let content =
+            Content { uri: "/set/tile.sized".into(), bytes: vec![200], reader_data: None, companions: Vec::new() };
+        let (page, memory) = large.decode(budget.hold(10), || decode(content, &options));
+        assert!(page.is_ok(), "{page:?}");
+        assert!((200..=210).contains(&budget.total().bytes), "{}", budget.total().bytes);
+        drop(memory);
+        assert_eq!(budget.total().bytes, 0);
+    }
 }

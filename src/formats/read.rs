@@ -13,7 +13,7 @@ use super::{
     b3dm, cmpt, draping, embedded, gltf, height, i3dm, image, implicit, model_files, osg, point_cloud, style, tileset,
 };
 use crate::fetch::markup::{refuse_markup, text_and_first_byte};
-use crate::fetch::{IoError, encoding, guarded};
+use crate::fetch::{IoError, about_to_allocate, encoding, guarded};
 use crate::scene::{Node, Page, ReaderData, ReaderValue};
 
 /// The maximum number of files that one content may refer to.
@@ -273,6 +273,7 @@ fn read_bytes(
 ) -> Result<Node, IoError> {
     let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
     if let Some(reader) = options.reader_of(uri, &bytes) {
+        about_to_allocate(reader.decoded_bytes(uri, &bytes));
         return reader.read(uri, &bytes, &companions, options).map_err(|reason| IoError::invalid(uri, reason));
     }
     if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) || bytes.starts_with(height::PACKED_MAGIC) {

@@ -12,6 +12,7 @@ mod horizon_point;
 mod projection;
 pub mod random;
 mod ray;
+mod surface_parts;
 
 pub use bounds::{Aabb, BoundingSphere, BoundingVolume, OrientedBox, Region};
 pub(crate) use bounds::{max_scale, surface_box};
@@ -22,3 +23,4 @@ pub(crate) use horizon_point::horizon_point;
 pub use projection::TransverseMercator;
 pub use ray::Ray;
 pub(crate) use ray::slab;
+pub(crate) use surface_parts::{PartTest, SurfacePart};

@@ -13,6 +13,8 @@ use crate::scene::{GroundTiles, LodRanges, Readiness, TileRecord, flag};
 /// Distances to the ground are at least this share of the eye's height above it. The rest is for the difference between the
 /// height along the line to the earth's centre and that along the normal, and for rounding.
 const HEIGHT_SHARE: f64 = 0.999;
+/// Tiles with a larger radius are tested by the parts of their surface, metres. They have 0.03 radians and more.
+const MIN_LARGE_M: f32 = 95_000.0;
 /// Tiles with a larger radius are tested by those below them, metres: those of the first four levels, less than 45 in sight.
 const MIN_DIVIDED_M: f32 = 800_000.0;
 
@@ -72,18 +74,20 @@ impl Traversal<'_> {
         (walk.may_be_behind && self.is_behind(walk, tile)) || self.has_no_part_in_sight(walk, tile, crossing)
     }
 
-    /// Returns true if a tile of the ground is so large that the boxes of the tiles below it tell more than its own, and all of these
-    /// are out of sight. The box of a quarter of the earth reaches far beyond the surface. `mask` are the planes that the tile
-    /// crosses.
+    /// Returns true if a large tile of the ground is out of sight although its box is not: by its surface, or because all the tiles
+    /// below it are. The box of a quarter of the earth reaches far beyond the surface. `mask` are the planes that the tile crosses.
     #[inline]
     pub(super) fn has_no_part_in_sight(&mut self, walk: &WalkContext, tile: u32, mask: u8) -> bool {
-        let is_large = |tile: u32| walk.tiles.bounds()[tile as usize].radius_m() > MIN_DIVIDED_M;
+        let radius_m = walk.tiles.bounds()[tile as usize].radius_m();
+        if radius_m <= MIN_LARGE_M || walk.is_top_of_ground(tile) {
+            return false;
+        }
+        let Some(ground) = walk.tiles.ground() else { return false };
         let record = &walk.tiles.records()[tile as usize];
-        walk.tiles.ground().is_some()
-            && is_large(tile)
-            && !walk.is_top_of_ground(tile)
-            && record.has_children()
-            && (record.first_child..record.end_of_children()).all(|child| self.is_out_of_sight(walk, child, mask))
+        walk.surface_is_out_of_sight(ground, tile, mask)
+            || radius_m > MIN_DIVIDED_M
+                && record.has_children()
+                && (record.first_child..record.end_of_children()).all(|child| self.is_out_of_sight(walk, child, mask))
     }
 
     /// Returns true if the content of a tile or of one above it is resident: it can be drawn in place of what is missing.

@@ -61,6 +61,11 @@ impl Horizon {
         })
     }
 
+    /// Returns true if the frame is the body's own.
+    pub fn is_in_ecef(&self) -> bool {
+        self.is_ecef
+    }
+
     /// Returns true if a point that stands for a part of the body is behind the horizon. `offset` is its offset from the eye
     /// in ECEF metres; nothing is hidden in another frame.
     #[inline]

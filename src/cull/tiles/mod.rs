@@ -11,6 +11,7 @@
 //! | `walk_context`, `tile_view`, `open_tile` | what a walk knows of its page, of the eye, and of the tiles above |
 //! | `ground` | tiles of a globe, which are replaced as soon as the children in sight are ready |
 //! | `horizon` | tiles below the horizon of the ellipsoid |
+//! | `surface` | large tiles of a globe whose boxes are in sight and whose surface is not |
 //! | `stand_in` | the content above a tile whose load has failed |
 
 mod fast_walk;
@@ -18,6 +19,7 @@ mod ground;
 mod horizon;
 mod open_tile;
 mod stand_in;
+mod surface;
 mod tile_view;
 mod walk;
 mod walk_context;

@@ -3,9 +3,10 @@
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use super::surface;
 use super::tile_view::TileView;
 use crate::cull::fading::{FadeStep, FadeTarget, TileMark};
-use crate::scene::{ContentShape, LodRanges, Page, PageId, TileBounds, TileRecord, TileRoot, Tiles, flag};
+use crate::scene::{ContentShape, GroundTiles, LodRanges, Page, PageId, TileBounds, TileRecord, TileRoot, Tiles, flag};
 
 /// Flags of the usual tile: content that its children replace.
 pub(super) const REPLACE_WITH_CONTENT: u16 = flag::CONTENT;
@@ -145,6 +146,19 @@ impl WalkContext<'_> {
         } else {
             self.view.planes.test_oriented(offset, self.tiles.axes_of(bounds), bounds.half_m(), mask)
         }
+    }
+
+    /// Returns true if no part of a large tile of the ground is in sight. Its box may be.
+    #[inline]
+    pub fn surface_is_out_of_sight(&self, ground: &GroundTiles, tile: u32, mask: u8) -> bool {
+        let view = &self.view;
+        let Some(horizon) = view.horizon.as_ref().filter(|horizon| horizon.is_in_ecef()) else { return false };
+        // If the middle of its box is in sight, a part of the tile is.
+        let middle = view.eye.offset_to(&self.tiles.bounds()[tile as usize]).truncate();
+        let is_middle_seen =
+            !view.planes.spheres_are_outside(&[middle], 0.0, mask) && !horizon.hides(middle.to_array(), 0.0);
+        let is_out = |region: &_| surface::is_out_of_sight(region, view.eye.position, (&view.planes, mask), horizon);
+        !is_middle_seen && ground.large_region(tile).is_some_and(is_out)
     }
 
     /// Returns true if the volume of a tile's content is smaller than the tile's, and outside of the frustum. The tile may be inside.

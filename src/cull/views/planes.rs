@@ -152,6 +152,16 @@ impl Planes {
         Some(crossing)
     }
 
+    /// Returns true if spheres of one radius around some points are all outside of the same side plane in `mask`.
+    #[inline]
+    pub fn spheres_are_outside(&self, points: &[Vec3], radius_m: f32, mask: u8) -> bool {
+        let is_outside = |point: &Vec3| {
+            let distance = self.x * point.x + self.y * point.y + self.z * point.z + self.w;
+            (distance + Vec4::splat(radius_m)).cmplt(Vec4::ZERO).bitmask() as u8
+        };
+        points.iter().fold(mask & SIDES, |outside, point| outside & is_outside(point)) != 0
+    }
+
     /// Returns true if a box is outside of some plane in `mask`.
     #[inline(always)]
     pub fn box_is_outside(&self, center: [f32; 3], half: [f32; 3], mask: u8) -> bool {

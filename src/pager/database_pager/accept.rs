@@ -14,6 +14,8 @@ use crate::scene::{SlotInfo, SlotState};
 /// The number of new requests that an update accepts, more than threads can begin in a frame. Culls list the others again in
 /// the next frame.
 const MAX_NEW: usize = 1024;
+/// Of so many times the requests that are accepted an update looks up the slots, whose options change the priorities of culls.
+const CANDIDATES_PER_NEW: usize = 2;
 
 /// A slot that a cull met within this many frames is seen.
 const MET_FRAMES: u32 = 2;
@@ -24,6 +26,9 @@ fn most_urgent<S: Copy + Ord>(
     max: usize,
     scene_of: impl Fn(usize) -> S,
 ) -> Vec<(Urgency, usize)> {
+    if new.len() <= max {
+        return new;
+    }
     let mut by_scene: BTreeMap<S, Vec<(Urgency, usize)>> = BTreeMap::new();
     for request in new {
         by_scene.entry(scene_of(request.1)).or_default().push(request);
@@ -56,18 +61,18 @@ impl DatabasePager {
         // The indices of new requests.
         let mut new: Vec<(Urgency, usize)> = Vec::new();
         for (index, request) in requests.iter().enumerate() {
-            if !self.table.renew(request, frame, &mut changes)
-                && self.control.takes_requests
-                && let Some(slot) = scenes.slot(request.slot)
-                && self.is_open(&slot)
-            {
-                new.push((RequestTable::urgency(request, &slot), index));
+            if !self.table.renew(request, frame, &mut changes) && self.control.takes_requests {
+                new.push((Urgency::new(request.priority, request.ahead_frames > 0), index));
             }
         }
-        if new.len() > max_new {
-            new = most_urgent(new, max_new, |index| requests[index].slot.page.scene);
-        }
-        for request in new.into_iter().map(|(_, index)| &requests[index]) {
+        let scene_of = |index: usize| requests[index].slot.page.scene;
+        let mut new = most_urgent(new, max_new.saturating_mul(CANDIDATES_PER_NEW), scene_of);
+        new.retain_mut(|(urgency, index)| {
+            let Some(slot) = scenes.slot(requests[*index].slot).filter(|slot| self.is_open(slot)) else { return false };
+            *urgency = RequestTable::urgency(&requests[*index], &slot);
+            true
+        });
+        for request in most_urgent(new, max_new, scene_of).into_iter().map(|(_, index)| &requests[index]) {
             // Another camera may have requested it too.
             if self.table.renew(request, frame, &mut changes) {
                 continue;
@@ -115,6 +120,9 @@ impl DatabasePager {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::Cell;
+    use std::time::{Duration, Instant};
+
     use glam::{DAffine3, DVec3};
 
     use super::*;
@@ -122,11 +130,30 @@ mod tests {
     use crate::formats::ReadOptions;
     use crate::math::{BoundingSphere, BoundingVolume};
     use crate::pager::PagerConfig;
+    use crate::pager::loading::page_job::PageJob;
+    use crate::pager::requests::entry::Progress;
     use crate::scene::{Node, NodeId, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine, Scene};
 
     const TILES: usize = 5_000;
     /// The number of the most urgent jobs that are in order after each update.
     const IN_ORDER: usize = 1_024;
+
+    /// A scene that counts how often it is looked at.
+    struct Counted<'a> {
+        scene: &'a mut Scene,
+        looked_at: Cell<usize>,
+    }
+
+    impl SceneSet for Counted<'_> {
+        fn at(&self, index: usize) -> Option<&Scene> {
+            self.looked_at.set(self.looked_at.get() + 1);
+            self.scene.at(index)
+        }
+
+        fn at_mut(&mut self, index: usize) -> Option<&mut Scene> {
+            self.scene.at_mut(index)
+        }
+    }
 
     /// A pager that loads nothing, and what its cameras want.
     struct Run {
@@ -293,5 +320,75 @@ mod tests {
         assert!(is_next, "stale requests are left, and threads take what is wanted");
         assert_eq!(run.next(TILES), (0..NEW).map(|tile| tile * 7).collect::<Vec<_>>());
         assert_eq!(run.pager.stats.stale as usize, TILES - NEW);
+    }
+
+    /// Regression: while stale requests were left, one in eight slots went to them, as the oldest.
+    #[test]
+    fn slots_for_old_requests_go_to_no_stale_ones() {
+        /// What threads take in a frame.
+        const TAKEN: usize = 16;
+        let mut run = Run::new(false);
+        run.fill(0);
+        // All requests are old.
+        run.frame += 200;
+        run.look_at(0);
+        // The camera turns to a few of the least urgent tiles.
+        let wanted = |run: &mut Run| run.update((TILES - 300..TILES).map(|tile| (tile, 1e6)));
+        let (mut stale, mut updates) = (0, 0);
+        while run.pager.stats.waiting as usize > 300 {
+            wanted(&mut run);
+            if run.pager.stats.stale > 0 {
+                updates += 1;
+                let taken = run.pager.threads.list().lock().take_files_for_test(TAKEN);
+                let is_stale = |job: &PageJob| run.slots.binary_search(&job.slot).unwrap() < TILES - 300;
+                stale += taken.iter().filter(|job| is_stale(job)).count();
+            }
+            assert!(updates < 20, "{:?}", run.pager.stats);
+        }
+        assert!(updates > 1, "requests are stale for some updates");
+        assert_eq!(stale, 0, "in {updates} updates");
+    }
+
+    /// Regression: each update looked at all remembered failures a few times.
+    #[test]
+    fn remembered_failures_are_apart_from_what_is_under_way() {
+        let mut run = Run::new(false);
+        run.fill(0);
+        let later = Instant::now() + Duration::from_secs(600);
+        for slot in &run.slots[..TILES / 2] {
+            run.pager.table.begin(*slot, |entry| entry.progress = Progress::Failed { retry_at: Some(later) });
+        }
+        run.pager.table.begin(run.slots[TILES - 1], |entry| entry.progress = Progress::Loading);
+        run.look_at(0);
+        assert_eq!((run.pager.table.begun().count(), run.pager.stats.in_flight), (1, 1));
+        assert!(!run.pager.has_due());
+        // One that may be retried, and is: its request waits again.
+        let failed = run.slots[7];
+        run.pager.table.begin(failed, |entry| entry.progress = Progress::Failed { retry_at: Some(Instant::now()) });
+        assert!(run.pager.has_due());
+        run.look_at(0);
+        assert!(!run.pager.has_due());
+        run.look_at(0);
+        assert_eq!(run.pager.table.get(failed).map(|entry| entry.progress), Some(Progress::Waiting));
+        assert_eq!(run.pager.stats.retried, 1);
+    }
+
+    /// Regression: the first update looked up the slots of all new requests.
+    #[test]
+    fn slots_of_a_few_new_requests_are_looked_up() {
+        let mut run = Run::new(false);
+        let requests: Vec<PageRequest> = (0..TILES)
+            .map(|tile| PageRequest {
+                slot: run.slots[tile],
+                priority: priority(tile, 0),
+                error_px: 1.0,
+                ahead_frames: 0,
+            })
+            .collect();
+        let scenes = Counted { scene: &mut run.scene, looked_at: Cell::new(0) };
+        run.pager.accept(&scenes, &requests);
+        assert_eq!(run.pager.stats.requested as usize, MAX_NEW);
+        let looked_up = scenes.looked_at.get();
+        assert!((MAX_NEW..(CANDIDATES_PER_NEW + 1) * MAX_NEW + 16).contains(&looked_up), "{looked_up} of {TILES}");
     }
 }

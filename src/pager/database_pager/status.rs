@@ -62,8 +62,7 @@ impl DatabasePager {
 
     /// Returns true when nothing waits, is read, decoded, uploaded or merged. Failures and prefetches do not count.
     pub fn is_idle(&self) -> bool {
-        self.table.waiting().wanted_now() == 0
-            && !self.table.begun().any(|(_, entry)| !entry.is_prefetch() && !entry.has_failed())
+        self.table.waiting().wanted_now() == 0 && self.table.begun().all(|(_, entry)| entry.is_prefetch())
     }
 
     /// Returns true if something will change without another request. What waits for room, or while the pager is paused,
@@ -72,7 +71,7 @@ impl DatabasePager {
         let may_begin = !self.scheduler.shortage().is_full() && !self.control.is_paused;
         let room = self.residency.room(self.arrivals.total());
         let fits = |entry: &Entry| entry.known_size.is_none_or(|size| room.fits(size));
-        let is_under_way = |(_, entry): (NodeId, &Entry)| !entry.is_prefetch() && !entry.has_failed();
+        let is_under_way = |(_, entry): (NodeId, &Entry)| !entry.is_prefetch();
         may_begin && self.table.waiting().has_any_that(fits) || self.table.begun().any(is_under_way)
     }
 
@@ -129,16 +128,11 @@ impl DatabasePager {
         (s.cpu_bytes_held, s.gpu_bytes_held) = (in_memory.cpu, in_memory.gpu);
         (s.waiting, s.in_flight, s.decoding, s.compiling) = (self.table.waiting().len() as u64, 0, 0, 0);
         for (slot, entry) in self.table.begun() {
-            match entry.progress {
-                Progress::Loading | Progress::Arrived => {
-                    s.in_flight += 1;
-                    match self.state(slot, entry) {
-                        RequestState::Decoding => s.decoding += 1,
-                        RequestState::Compiling | RequestState::Merging => s.compiling += 1,
-                        _ => {}
-                    }
-                }
-                Progress::Waiting | Progress::Failed { .. } | Progress::Retryable => {}
+            s.in_flight += 1;
+            match self.state(slot, entry) {
+                RequestState::Decoding => s.decoding += 1,
+                RequestState::Compiling | RequestState::Merging => s.compiling += 1,
+                _ => {}
             }
         }
         self.stats = s;

@@ -413,4 +413,12 @@ impl<J: Request> ListState<J> {
     pub fn take_file_for_test(&mut self, max_files: usize) -> Option<J> {
         self.take_file(max_files)
     }
+
+    /// Takes files as if the budgets allowed any number of them, for tests.
+    pub fn take_files_for_test(&mut self, count: usize) -> Vec<J> {
+        let outstanding = std::mem::replace(&mut self.usage.limits.outstanding, usize::MAX);
+        let taken = (0..count).filter_map(|_| self.take_file(usize::MAX)).collect();
+        self.usage.limits.outstanding = outstanding;
+        taken
+    }
 }

@@ -99,7 +99,8 @@ struct Turn {
 
 /// The waiting jobs. The request list's mutex guards them.
 pub(super) struct WaitingJobs<J: Request> {
-    jobs: HashMap<Ticket, Waiting<J>>,
+    /// Boxed, so that the table moves pointers and not jobs when it grows: tens of thousands may appear at once.
+    jobs: HashMap<Ticket, Box<Waiting<J>>>,
     /// The first is that of files. An empty one is reused.
     lanes: Vec<Lane<J::Scene>>,
     /// Indices of the lanes of servers by [`lane_key`].
@@ -204,7 +205,7 @@ impl<J: Request> WaitingJobs<J> {
             self.turns.entry(scene).or_default().waiting += 1;
         }
         self.lanes[lane].len += 1;
-        let waiting = Waiting { job, urgency, first_frame, lane };
+        let waiting = Box::new(Waiting { job, urgency, first_frame, lane });
         waiting.enqueue(&mut self.lanes);
         self.jobs.insert(ticket, waiting);
     }
@@ -271,7 +272,7 @@ impl<J: Request> WaitingJobs<J> {
     pub fn remove(&mut self, ticket: Ticket) -> Option<J> {
         let waiting = self.jobs.remove(&ticket)?;
         waiting.dequeue(&mut self.lanes);
-        let Waiting { job, urgency, lane, .. } = waiting;
+        let Waiting { job, urgency, lane, .. } = *waiting;
         if !urgency.is_prefetch() {
             self.leave_turn(job.scene());
         }

@@ -68,14 +68,19 @@ impl Entry {
         matches!(self.progress, Progress::Failed { .. } | Progress::Retryable)
     }
 
+    /// Returns the end of the back-off if the last load failed and there will be a retry.
+    pub fn retry_at(&self) -> Option<Instant> {
+        if let Progress::Failed { retry_at } = self.progress { retry_at } else { None }
+    }
+
     /// Returns true if the last load failed and there will be a retry.
     pub fn will_retry(&self) -> bool {
-        matches!(self.progress, Progress::Failed { retry_at: Some(_) })
+        self.retry_at().is_some()
     }
 
     /// Returns true if the last load failed and its back-off is over.
     pub fn is_due(&self, now: Instant) -> bool {
-        matches!(self.progress, Progress::Failed { retry_at: Some(at) } if at <= now)
+        self.retry_at().is_some_and(|at| at <= now)
     }
 
     /// Ends a request that is no longer wanted. Returns true if the entry must be kept: its count of failures is

@@ -172,6 +172,8 @@ pub(in crate::pager) struct Scheduler {
     shortage: Shortage,
     /// Prefetches that are loading and needed in one of the next frames.
     soon: u64,
+    /// Stale requests are left in the list.
+    has_stale: bool,
 }
 
 impl Scheduler {
@@ -229,6 +231,7 @@ impl Scheduler {
         if table.has_stale(is_stale) {
             stale += drop_urgent_stale(table, &mut state, is_stale);
         }
+        self.has_stale = table.has_stale(is_stale);
         if cfg!(feature = "http") {
             aborted.into_iter().for_each(|ticket| state.abort(ticket));
         }
@@ -284,7 +287,8 @@ impl Scheduler {
             outstanding: outstanding.min(state.outstanding().saturating_add(load_room.loads)),
             prefetch_room: if at.config.ahead_in_flight > 0 { room.min(prefetches) } else { 0 },
             prefetch_beside_others: at.config.ahead_in_flight.saturating_sub(at.arrived_prefetches),
-            aged_before: at.times.frame().saturating_sub(AGED_FRAMES),
+            // The oldest requests are stale ones while such are left. Then no slot goes to old requests.
+            aged_before: if self.has_stale { 0 } else { at.times.frame().saturating_sub(AGED_FRAMES) },
         }
     }
 }

@@ -16,7 +16,7 @@ use crate::pager::scenes::read_scope::{ReadScope, TilesetAncestors};
 use crate::pager::scenes::scene_set::SceneSet;
 use crate::scene::{NodeId, PagingOptions, ReaderData, SceneNumber, SlotInfo};
 
-/// Failures that are remembered: each frame iterates over them. Beyond that, those are forgotten that no camera meets.
+/// Failures that are remembered. Beyond that, those are forgotten that no camera meets.
 const MAX_FAILURES: usize = 4096;
 
 /// The priority of a content that continues a tile tree, in multiples of that of its tile. It is small, and the contents of the
@@ -49,8 +49,12 @@ impl Changes {
 #[derive(Debug)]
 pub(in crate::pager) struct RequestTable {
     waiting: WaitingRequests,
-    /// Requests that are loading, have arrived, or have failed.
+    /// Requests that are loading or have arrived.
     begun: HashMap<NodeId, Entry>,
+    /// Requests that have failed. No update looks at all of them, unless the back-off of one is over.
+    failed: HashMap<NodeId, Entry>,
+    /// The end of the first back-off, or an earlier moment; `None` if nothing will be retried.
+    next_retry: Option<Instant>,
     tickets: TicketIssuer,
 }
 
@@ -65,7 +69,13 @@ fn paging(slot: &SlotInfo<'_>) -> PagingOptions {
 
 impl RequestTable {
     pub fn new() -> Self {
-        Self { waiting: WaitingRequests::new(), begun: HashMap::new(), tickets: TicketIssuer::new() }
+        Self {
+            waiting: WaitingRequests::new(),
+            begun: HashMap::new(),
+            failed: HashMap::new(),
+            next_retry: None,
+            tickets: TicketIssuer::new(),
+        }
     }
 
     /// Issues no ticket number that `before` has issued.
@@ -75,7 +85,7 @@ impl RequestTable {
 
     /// Returns the entry of a slot.
     pub fn get(&self, slot: NodeId) -> Option<&Entry> {
-        self.waiting.get(slot).or_else(|| self.begun.get(&slot))
+        self.waiting.get(slot).or_else(|| self.begun.get(&slot)).or_else(|| self.failed.get(&slot))
     }
 
     /// Returns the entry that a job belongs to; `None` if the job is of an earlier attempt or its slot is gone.
@@ -85,10 +95,10 @@ impl RequestTable {
 
     /// Returns all entries, in no order.
     pub fn iter(&self) -> impl Iterator<Item = (NodeId, &Entry)> + Clone + '_ {
-        self.waiting.iter().chain(self.begun.iter()).map(|(slot, entry)| (*slot, entry))
+        self.waiting.iter().chain(&self.begun).chain(&self.failed).map(|(slot, entry)| (*slot, entry))
     }
 
-    /// Returns the entries that do not wait for a thread, in no order.
+    /// Returns the entries that are loading or have arrived, in no order.
     pub fn begun(&self) -> impl Iterator<Item = (NodeId, &Entry)> + '_ {
         self.begun.iter().map(|(slot, entry)| (*slot, entry))
     }
@@ -105,15 +115,24 @@ impl RequestTable {
 
     /// Removes the entry of a slot.
     pub fn remove(&mut self, slot: NodeId) -> Option<Entry> {
-        self.waiting.remove(slot).or_else(|| self.begun.remove(&slot))
+        self.waiting.remove(slot).or_else(|| self.begun.remove(&slot)).or_else(|| self.failed.remove(&slot))
     }
 
     /// Changes an entry that does not wait any more, and returns the result.
     pub fn begin<R>(&mut self, slot: NodeId, change: impl FnOnce(&mut Entry) -> R) -> Option<R> {
-        if let Some(entry) = self.waiting.remove(slot) {
-            self.begun.insert(slot, entry);
+        let mut entry = self.remove(slot)?;
+        let result = change(&mut entry);
+        self.insert_begun(entry);
+        Some(result)
+    }
+
+    /// Inserts an entry that does not wait.
+    fn insert_begun(&mut self, entry: Entry) {
+        if let Progress::Failed { retry_at: Some(at) } = entry.progress {
+            self.next_retry = Some(self.next_retry.map_or(at, |next| next.min(at)));
         }
-        self.begun.get_mut(&slot).map(change)
+        let entries = if entry.has_failed() { &mut self.failed } else { &mut self.begun };
+        entries.insert(entry.job.slot, entry);
     }
 
     /// Removes and returns the entries for which `condition` holds.
@@ -130,13 +149,13 @@ impl RequestTable {
             changes.has_sooner |= is_sooner;
             return true;
         }
-        let Some(entry) = self.begun.get_mut(&slot) else { return false };
+        let Some(entry) = self.begun.get_mut(&slot).or_else(|| self.failed.get_mut(&slot)) else { return false };
         changes.has_sooner |= request.ahead_frames == 0 && entry.is_prefetch();
         let before = entry.urgency();
         entry.renew(request, frame);
         match entry.progress {
             Progress::Retryable => {
-                if let Some(entry) = self.begun.remove(&slot) {
+                if let Some(entry) = self.failed.remove(&slot) {
                     self.requeue(entry);
                     changes.retried += 1;
                 }
@@ -238,57 +257,58 @@ impl RequestTable {
         let Some(mut entry) = self.waiting.remove(slot) else { return };
         entry.job.ticket.trace_end(RequestEnd::Stale);
         if entry.end_unwanted() {
-            self.begun.insert(slot, entry);
+            self.insert_begun(entry);
         }
     }
 
     /// Makes failures retryable whose back-off is over; their failure counts stay. If there are too many, those are forgotten
     /// whose slots no camera has met for long: `is_unused` holds of the frame in which a cull last met the slot.
     pub fn retry_due(&mut self, scenes: &mut dyn SceneSet, is_unused: impl Fn(u32) -> bool) {
-        let now = Instant::now();
-        for entry in self.begun.values_mut().filter(|entry| entry.is_due(now)) {
-            scenes.set_failed(entry.job.slot, false);
-            entry.progress = Progress::Retryable;
+        if self.has_due() {
+            let now = Instant::now();
+            for entry in self.failed.values_mut().filter(|entry| entry.is_due(now)) {
+                scenes.set_failed(entry.job.slot, false);
+                entry.progress = Progress::Retryable;
+            }
+            self.next_retry = self.failed.values().filter_map(Entry::retry_at).min();
         }
-        let failures = || self.begun.values().filter(|entry| entry.has_failed()).count();
-        if self.begun.len() > MAX_FAILURES && failures() > MAX_FAILURES {
+        if self.failed.len() > MAX_FAILURES {
             self.forget_failures(scenes, is_unused);
         }
     }
 
     /// Forgets failures whose slots no cull has met for long; they are requested once more when they are met.
     fn forget_failures(&mut self, scenes: &mut dyn SceneSet, is_unused: impl Fn(u32) -> bool) {
-        self.begun.retain(|slot, entry| {
+        self.failed.retain(|slot, _| {
             let is_met = scenes.slot(*slot).is_some_and(|slot| !is_unused(slot.last_used_frame));
-            let is_kept = !entry.has_failed() || is_met;
-            if !is_kept {
+            if !is_met {
                 scenes.forget_failure(*slot);
             }
-            is_kept
+            is_met
         });
     }
 
     /// Ends the back-off of a failed slot; one without an entry only loses its failure mark.
     pub fn retry_now(&mut self, scenes: &mut dyn SceneSet, slot: NodeId) {
-        match self.begun.get_mut(&slot) {
+        match self.failed.get_mut(&slot) {
             Some(entry) if !matches!(entry.progress, Progress::Failed { .. }) => return,
             Some(entry) => entry.progress = Progress::Retryable,
-            None if self.waiting.get(slot).is_some() => return,
+            None if self.waiting.get(slot).is_some() || self.begun.contains_key(&slot) => return,
             None => {}
         }
         scenes.set_failed(slot, false);
     }
 
-    /// Returns true if the back-off of a failure is over, so that the next update makes it retryable.
+    /// Returns true if the back-off of a failure may be over, so that the next update makes it retryable.
     pub fn has_due(&self) -> bool {
-        let now = Instant::now();
-        self.begun.values().any(|entry| entry.is_due(now))
+        self.next_retry.is_some_and(|at| at <= Instant::now())
     }
 
     /// Replaces the read scope of all requests of a scene.
     pub fn set_scope(&mut self, scene: SceneNumber, scope: &Arc<ReadScope>) {
         self.waiting.set_scope(scene, scope, &mut self.tickets);
-        for (_, entry) in self.begun.iter_mut().filter(|(slot, _)| slot.page.scene == scene) {
+        let of_scene = |entry: &&mut Entry| entry.job.slot.page.scene == scene;
+        for entry in self.begun.values_mut().chain(self.failed.values_mut()).filter(of_scene) {
             entry.job.scope = scope.clone();
         }
     }

@@ -8,7 +8,10 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::{DVec3, Vec3};
 
-use crate::math::{Ellipsoid, WGS84};
+use crate::math::{Ellipsoid, Region, WGS84, horizon_point};
+
+/// The box of a smaller tile fits its surface well, radians along its longer side.
+const MIN_LARGE: f64 = 0.03;
 
 /// Tables by tile.
 #[derive(Debug)]
@@ -19,6 +22,8 @@ pub(crate) struct GroundTiles {
     ceiling_m: f64,
     /// Points in ECEF metres, each behind the horizon only if its tile is; infinite for a tile without one.
     horizon_points: Vec<Vec3>,
+    /// The regions of large tiles, in the order of their indices.
+    large: Vec<(u32, Region)>,
     /// The frame in which a camera last saw the children of each tile; 0 for never. Culls store it through a shared reference
     /// (relaxed, since it guards no other data).
     refined_in: Vec<AtomicU32>,
@@ -28,31 +33,30 @@ pub(crate) struct GroundTiles {
 #[derive(Debug)]
 pub(super) struct GroundTile {
     pub tile: u32,
-    pub ellipsoid: Ellipsoid,
-    pub ceiling_m: f64,
-    pub horizon_point: Option<DVec3>,
+    pub region: Region,
 }
 
 impl GroundTiles {
-    /// The bytes of a tile in the tables.
-    pub const BYTES_PER_TILE: usize = size_of::<Vec3>() + size_of::<AtomicU32>();
-
     /// Creates the tables of a page. `new_index` is the final index of each tile.
     pub(super) fn new(ground: &[GroundTile], new_index: &[u32]) -> Self {
         let mut horizon_points = vec![Vec3::INFINITY; new_index.len()];
         for of_tile in ground {
-            if let Some(point) = of_tile.horizon_point {
+            if let Some(point) = horizon_point(&of_tile.region) {
                 horizon_points[new_index[of_tile.tile as usize] as usize] = point.as_vec3();
             }
         }
+        let is_large = |region: &Region| region.width().max(region.north - region.south) >= MIN_LARGE;
+        let large = ground.iter().filter(|of| is_large(&of.region));
+        let mut large: Vec<_> = large.map(|of| (new_index[of.tile as usize], of.region)).collect();
+        large.sort_unstable_by_key(|(tile, _)| *tile);
         let refined_in = new_index.iter().map(|_| AtomicU32::new(0)).collect();
         // If there are other tiles beside the ground, their heights are not known.
         let is_all = ground.len() == new_index.len();
-        let ceiling_m = ground.iter().map(|tile| tile.ceiling_m).fold(f64::NEG_INFINITY, f64::max);
+        let ceiling_m = ground.iter().map(|tile| tile.region.max_height_m).fold(f64::NEG_INFINITY, f64::max);
         let ceiling_m = if is_all { ceiling_m } else { f64::INFINITY };
         // All tiles of a tree have the same.
-        let ellipsoid = ground.first().map_or(WGS84, |tile| tile.ellipsoid);
-        Self { ellipsoid, ceiling_m, horizon_points, refined_in }
+        let ellipsoid = ground.first().map_or(WGS84, |tile| tile.region.ellipsoid);
+        Self { ellipsoid, ceiling_m, horizon_points, large, refined_in }
     }
 
     /// Returns the ellipsoid of the tiles.
@@ -70,6 +74,18 @@ impl GroundTiles {
     pub fn offset_to_horizon_point(&self, tile: u32, eye: DVec3) -> Option<Vec3> {
         let point = self.horizon_points[tile as usize];
         (point.x < f32::INFINITY).then(|| (point.as_dvec3() - eye).as_vec3())
+    }
+
+    /// Returns the region of a large tile; `None` for a small one.
+    pub fn large_region(&self, tile: u32) -> Option<&Region> {
+        let at = self.large.binary_search_by_key(&tile, |(of, _)| *of).ok()?;
+        Some(&self.large.get(at)?.1)
+    }
+
+    /// Returns the bytes of the tables.
+    pub fn size_bytes(&self) -> usize {
+        let per_tile = size_of::<Vec3>() + size_of::<AtomicU32>();
+        self.refined_in.len() * per_tile + self.large.len() * size_of::<(u32, Region)>()
     }
 
     /// Notes that a camera sees the children of a tile in a frame.

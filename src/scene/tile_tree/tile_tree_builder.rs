@@ -11,7 +11,7 @@ use super::readiness::Readiness;
 use super::tile_bounds::DeclaredBounds;
 use super::tile_record::{TileRecord, flag};
 use super::tiles::{TileRoot, Tiles};
-use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, horizon_point};
+use crate::math::{BoundingSphere, BoundingVolume, OrientedBox};
 use crate::scene::id::NONE;
 use crate::scene::nodes::{PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, ReaderData, Refine};
 
@@ -74,12 +74,7 @@ impl TileTreeBuilder {
         if let (true, BoundingVolume::Region(region)) =
             (tile.reader_data.as_ref().is_some_and(ReaderData::is_ground_of_globe), &tile.bounds)
         {
-            self.ground.push(GroundTile {
-                tile: index,
-                ellipsoid: region.ellipsoid,
-                ceiling_m: region.max_height_m,
-                horizon_point: horizon_point(region),
-            });
+            self.ground.push(GroundTile { tile: index, region: *region });
         }
         if tile.paging != PagingOptions::default() {
             self.tiles.rare_mut().paging.push(index, tile.paging);

@@ -232,10 +232,10 @@ impl Tiles {
 
     /// Returns the bytes of CPU memory of all arrays.
     pub fn size_bytes(&self) -> u64 {
-        let of_ground = self.ground.as_ref().map_or(0, |_| GroundTiles::BYTES_PER_TILE);
-        let per_tile =
-            size_of::<TileRecord>() + size_of::<TileBounds>() + TileContents::BYTES_PER_TILE + 4 * 4 + of_ground;
-        (self.records.len() * per_tile) as u64 + self.volumes.shared_bytes() + self.contents.shared_bytes()
+        let of_ground = self.ground().map_or(0, GroundTiles::size_bytes);
+        let per_tile = size_of::<TileRecord>() + size_of::<TileBounds>() + TileContents::BYTES_PER_TILE + 4 * 4;
+        let of_tiles = self.records.len() * per_tile + of_ground;
+        of_tiles as u64 + self.volumes.shared_bytes() + self.contents.shared_bytes()
     }
 }
 

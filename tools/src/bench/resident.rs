@@ -269,6 +269,7 @@ pub fn run(tiles: usize, requests: usize, secs: f64) -> Result<()> {
         }));
     }
     for Updates { case, waiting, times } in crowded_updates(&uri, requests, secs)? {
+        let longest_at = (0..times.len()).max_by(|a, b| times[*a].cpu_us.total_cmp(&times[*b].cpu_us));
         let mut times_us: Vec<f64> = times.iter().map(|time| time.wall_us).collect();
         let (median, longest) = (percentile(&mut times_us, 0.5), percentile(&mut times_us, 1.0));
         let mut cpu_us: Vec<f64> = times.iter().map(|time| time.cpu_us).collect();
@@ -277,7 +278,7 @@ pub fn run(tiles: usize, requests: usize, secs: f64) -> Result<()> {
             "bench": "resident", "budget": case, "waiting": waiting, "frames": times_us.len(),
             "update_p50_us": round(median), "update_p99_us": round(percentile(&mut times_us, 0.99)),
             "update_max_us": round(longest), "max_to_p50": round(longest / median),
-            "cpu_p50_us": round(cpu_median), "cpu_max_us": round(cpu_longest),
+            "cpu_p50_us": round(cpu_median), "cpu_max_us": round(cpu_longest), "cpu_max_at": longest_at,
             "cpu_max_to_p50": round(cpu_longest / cpu_median),
         }));
     }
