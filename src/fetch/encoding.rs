@@ -38,7 +38,12 @@ pub(crate) fn decode(uri: &str, mut bytes: Vec<u8>, encodings: &str, limits: &Li
                 read_limited(uri, "br", reader, limits.max_file_bytes)?
             }
             "zstd" => unzstd(uri, &bytes, limits.max_file_bytes)?,
-            other => return Err(IoError::unsupported(uri, format!("content encoding {other:?}"))),
+            "deflate" => inflate(uri, bytes, limits)?,
+            "compress" | "x-compress" | "exi" | "pack200-gzip" | "dcb" | "dcz" => {
+                return Err(IoError::unsupported(uri, format!("content encoding {name:?}")));
+            }
+            // No encoding, but stored with the object by mistake, such as `utf-8` and `aws-chunked`. Browsers do the same.
+            _ => bytes,
         };
     }
     gunzip(uri, bytes, limits)
@@ -97,6 +102,24 @@ pub(crate) fn gunzip(uri: &str, bytes: Vec<u8>, limits: &Limits) -> Result<Vec<u
     Ok(plain)
 }
 
+/// Decodes `deflate`: zlib, or the bare stream that some servers send under this name.
+#[cfg(feature = "http")]
+fn inflate(uri: &str, bytes: Vec<u8>, limits: &Limits) -> Result<Vec<u8>, IoError> {
+    // The header of zlib: method 8, and a multiple of 31.
+    let is_zlib = matches!(bytes[..], [first, second, ..]
+        if first & 15 == 8 && u16::from_be_bytes([first, second]).is_multiple_of(31));
+    match is_zlib {
+        true => {
+            let reader = gated(flate2::read::ZlibDecoder::new(bytes.as_slice()));
+            read_limited(uri, "deflate", reader, limits.max_file_bytes)
+        }
+        false => {
+            let reader = gated(flate2::read::DeflateDecoder::new(bytes.as_slice()));
+            read_limited(uri, "deflate", reader, limits.max_file_bytes)
+        }
+    }
+}
+
 /// Reads a decoder to its end. Fails with [`IoError::TooLarge`] beyond `limit` bytes; `what` names the format in errors.
 pub(crate) fn read_limited(uri: &str, what: &str, reader: impl Read, limit: u64) -> Result<Vec<u8>, IoError> {
     let mut out = Vec::new();
@@ -136,6 +159,12 @@ mod tests {
         encoder.finish().expect("memory takes it")
     }
 
+    fn zlib(bytes: &[u8]) -> Vec<u8> {
+        let mut encoder = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::default());
+        encoder.write_all(bytes).expect("memory takes it");
+        encoder.finish().expect("memory takes it")
+    }
+
     fn zstd(bytes: &[u8]) -> Vec<u8> {
         ruzstd::encoding::compress_to_vec(bytes, ruzstd::encoding::CompressionLevel::Fastest)
     }
@@ -169,6 +198,10 @@ mod tests {
             ("br", brotli(&plain)),
             ("br, gzip", gzip(&brotli(&plain))),
             ("zstd", zstd(&gzip(&plain))),
+            ("deflate", zlib(&plain)),
+            ("deflate", zlib(&plain)[2..].to_vec()),
+            ("utf-8", plain.clone()),
+            ("aws-chunked,gzip", gzip(&plain)),
         ] {
             assert!(decode("u", bytes, encodings, &LIMITS).unwrap() == plain, "{encodings}");
         }
@@ -177,7 +210,9 @@ mod tests {
     #[test]
     fn oversized_and_broken_bodies_are_refused() {
         let bomb = vec![0u8; 100_001];
-        for (encodings, bytes) in [("gzip", gzip(&bomb)), ("zstd", zstd(&bomb)), ("br", brotli(&bomb))] {
+        for (encodings, bytes) in
+            [("gzip", gzip(&bomb)), ("zstd", zstd(&bomb)), ("br", brotli(&bomb)), ("deflate", zlib(&bomb))]
+        {
             let error = decode("u", bytes, encodings, &LIMITS).unwrap_err();
             assert!(matches!(error, IoError::TooLarge { .. }), "{encodings}: {error}");
         }

@@ -15,6 +15,11 @@ pub(crate) fn refuse_markup(uri: &str, bytes: &[u8]) -> Result<(), IoError> {
     }
 }
 
+/// Returns true for the text that stands for a file of Git LFS where the file was not downloaded.
+pub(crate) fn is_lfs_pointer(bytes: &[u8]) -> bool {
+    bytes.starts_with(b"version https://git-lfs.github.com/spec/")
+}
+
 /// Returns the text without its UTF-8 byte order mark, and its first byte that is not white space.
 pub(crate) fn text_and_first_byte(bytes: &[u8]) -> (&[u8], Option<u8>) {
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);

@@ -188,8 +188,9 @@ fn file_beside(base_uri: &str, reference: &str) -> Result<PathBuf, IoError> {
     if scheme.is_some_and(|s| s.len() > 1 && s.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'+')) {
         return Err(bad(reference, "only relative references are allowed in a tile set on disk"));
     }
-    let path_text = reference.split(['?', '#']).next().unwrap_or(reference);
-    let decoded = percent_decode(path_text).ok_or_else(|| bad(reference, "bad percent escape"))?;
+    // Windows programs write backslashes, which browsers and the URLs of servers take as slashes too.
+    let path_text = reference.split(['?', '#']).next().unwrap_or(reference).replace('\\', "/");
+    let decoded = percent_decode(&path_text).ok_or_else(|| bad(reference, "bad percent escape"))?;
     let relative = Path::new(&decoded);
     if relative.is_absolute() || decoded.starts_with('\\') || decoded.contains('\0') {
         return Err(bad(reference, "absolute paths are not allowed"));
@@ -257,7 +258,18 @@ mod tests {
         assert_eq!(&*ok("a%20b.glb").unwrap(), "/data/set/sub/a b.glb");
         assert_eq!(&*ok("../a.glb?x=1").unwrap(), "/data/set/a.glb");
         assert_eq!(&*ok("more.3tz").unwrap(), "/data/set/sub/more.3tz/tileset.json");
-        for escape in ["../../a.glb", "/etc/passwd", "file:///etc/passwd", "http://x/y", "%2e%2e/%2e%2e/x", "%2Fetc"] {
+        assert_eq!(&*ok("..\\images\\a.png").unwrap(), "/data/set/images/a.png");
+        for escape in [
+            "..\\..\\a.glb",
+            "\\etc\\passwd",
+            "\\\\host\\a",
+            "../../a.glb",
+            "/etc/passwd",
+            "file:///etc/passwd",
+            "http://x/y",
+            "%2e%2e/%2e%2e/x",
+            "%2Fetc",
+        ] {
             assert!(ok(escape).is_err(), "{escape}");
         }
     }

@@ -130,10 +130,11 @@ pub(super) fn read(
 ) -> Result<Node, IoError> {
     let Parts { feature_json, feature_binary, batch_json, batch_binary, model } = Parts::new(uri, bytes)?;
     options.limits.check_json(uri, feature_json)?;
-    let table: FeatureTable =
-        feature_table::parse(feature_json).map_err(|e| IoError::invalid(uri, format!("i3dm feature table: {e}")))?;
+    let bad = |e: serde_json::Error| IoError::invalid(uri, format!("i3dm feature table: {e}"));
+    let (table, feature_binary) = feature_table::parse_columns(feature_json, feature_binary).map_err(bad)?;
+    let table: FeatureTable = table;
     let ReadOptions { limits, ellipsoid, .. } = options;
-    let reader = TableReader { uri, binary: feature_binary, table: &table, limits, ellipsoid: *ellipsoid };
+    let reader = TableReader { uri, binary: &feature_binary, table: &table, limits, ellipsoid: *ellipsoid };
     let (origin, instances) = reader.instances()?;
     let source = |uri, base, bytes| GltfSource { uri, base, bytes, rtc_center: None, batch_table: None, companions };
     let model = match model {

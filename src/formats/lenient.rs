@@ -11,6 +11,14 @@ use serde::de::value::MapAccessDeserializer;
 use serde::de::{Deserialize, DeserializeOwned, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde_json::Value;
 
+/// Parses JSON. Of members of one name the last counts, as in browsers; serde refuses them in a structure.
+pub(super) fn from_json<T: DeserializeOwned>(text: &[u8]) -> Result<T, serde_json::Error> {
+    serde_json::from_slice(text).or_else(|error| {
+        let distinct = serde_json::from_slice::<Value>(text).ok();
+        distinct.and_then(|json| T::deserialize(json).ok()).ok_or(error)
+    })
+}
+
 /// Deserializes a value, and takes `null` as the default.
 pub(super) fn or_default<'de, D, T>(deserializer: D) -> Result<T, D::Error>
 where
@@ -352,6 +360,18 @@ mod tests {
     use super::*;
 
     const KINDS: [&str; 7] = ["null", "true", "-1", "1.5", "\"a\"", "[1, null, \"2\"]", "{\"a\": [1]}"];
+
+    #[test]
+    fn last_of_repeated_members_counts() {
+        #[derive(Debug, Deserialize)]
+        struct Named {
+            name: Text,
+        }
+        let named = |text: &str| from_json::<Named>(text.as_bytes());
+        assert_eq!(named(r#"{"name":"a","name":"b"}"#).unwrap().name.0.as_deref(), Some("b"));
+        assert!(named(r#"{"name":"a","name":"b""#).unwrap_err().to_string().contains("duplicate field `name`"));
+        assert!(named("{}").unwrap_err().to_string().contains("missing field"));
+    }
 
     #[test]
     fn every_json_value_is_taken() {

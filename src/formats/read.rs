@@ -12,7 +12,7 @@ use super::tile::{Body, ContentBytes, ContentData, TileContent, node_of};
 use super::{
     b3dm, cmpt, draping, embedded, gltf, height, i3dm, image, implicit, model_files, osg, point_cloud, style, tileset,
 };
-use crate::fetch::markup::{refuse_markup, text_and_first_byte};
+use crate::fetch::markup::{is_lfs_pointer, refuse_markup, text_and_first_byte};
 use crate::fetch::{IoError, about_to_allocate, encoding, guarded};
 use crate::scene::{Node, Page, ReaderData, ReaderValue};
 
@@ -327,8 +327,23 @@ impl ModelReader<'_> {
         }
         if bytes.starts_with(b"cmpt") {
             let parts = cmpt::parts(uri, bytes, depth)?;
-            let nodes = parts.into_iter().map(|part| self.read(part, depth + 1));
-            return nodes.collect::<Result<Vec<_>, _>>().map(Node::group);
+            let count = parts.len();
+            let (mut nodes, mut unsupported) = (Vec::with_capacity(count), None);
+            for part in parts {
+                match self.read(part, depth + 1) {
+                    Ok(node) => nodes.push(node),
+                    // Old sets keep vector tiles beside their meshes.
+                    Err(error @ IoError::Unsupported { .. }) => {
+                        notes.add(format!("cmpt: a tile that is not drawn: {}", error.reason()));
+                        unsupported.get_or_insert(error);
+                    }
+                    Err(error) => return Err(error),
+                }
+            }
+            return match unsupported {
+                Some(error) if nodes.is_empty() => Err(error),
+                _ => Ok(Node::group(nodes)),
+            };
         }
         for (magic, what) in [
             (&b"subt"[..], "a subtree outside of implicit tiling"),
@@ -361,6 +376,18 @@ impl ModelReader<'_> {
         }
         if bytes.is_empty() {
             return Err(IoError::invalid(uri, "the file is empty"));
+        }
+        if is_lfs_pointer(bytes) {
+            return Err(IoError::invalid(
+                uri,
+                "a pointer of Git LFS instead of the file, which `git lfs pull` fetches",
+            ));
+        }
+        if bytes.starts_with(b"SQLite format 3\0") {
+            return Err(IoError::unsupported(
+                uri,
+                "a database (SQLite: .3dtiles, MBTiles, GeoPackage) as a source of tiles",
+            ));
         }
         let start = bytes.get(..4.min(bytes.len())).unwrap_or(&[]);
         Err(IoError::invalid(

@@ -259,6 +259,9 @@ impl Region {
         };
         let samples = (0..=steps).flat_map(|i| (0..=steps).map(move |j| (i, j)));
         let samples = samples.flat_map(|(i, j)| [self.min_height_m, self.max_height_m].map(|height| at(i, j, height)));
+        // Near a pole a degree of longitude is short. A chord of a parallel of radius r bulges by r times the square of its angle.
+        let widest = if self.south * self.north < 0.0 { 1.0 } else { self.south.abs().min(self.north.abs()).cos() };
+        let extent = (self.width() * widest.max(0.0).sqrt()).max(self.north - self.south);
         surface_box(&self.ellipsoid, &self.center(), samples, extent / f64::from(steps))
     }
 }
@@ -416,6 +419,26 @@ mod tests {
                         height_m,
                     });
                     assert!(b.distance_to(p) < 1e-6);
+                }
+            }
+        }
+    }
+
+    /// Regression: the box around twelve metres at a pole had 850 km.
+    #[test]
+    fn box_around_a_pole_is_as_large_as_its_region() {
+        for (south, radius_m) in [(0.5 * PI - 2e-6, 12.8), (0.5 * PI - 0.1, 640_000.0)] {
+            for is_south in [false, true] {
+                let [south, north] = if is_south { [-0.5 * PI, -south] } else { [south, 0.5 * PI] };
+                let (min_height_m, max_height_m) = (0.0, 10.0);
+                let r = Region { west: -PI, south, east: PI, north, min_height_m, max_height_m, ellipsoid: WGS84 };
+                let b = r.oriented_box();
+                assert!(b.bounding_sphere().radius_m < 1.7 * radius_m, "{radius_m}: {}", b.bounding_sphere().radius_m);
+                for i in 0..=40 {
+                    let latitude = if is_south { north } else { south };
+                    let longitude = -PI + TAU * f64::from(i) / 40.0;
+                    let p = WGS84.ecef(&Geodetic { longitude, latitude, height_m: 10.0 });
+                    assert!(b.distance_to(p) < 1e-6, "{longitude}: {}", b.distance_to(p));
                 }
             }
         }

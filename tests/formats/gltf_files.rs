@@ -1,7 +1,7 @@
 //! Contents whose buffers and images are files, read as a whole set.
 
 use serde_json::json;
-use terrane::fetch::Limits;
+use terrane::fetch::{IoError, Limits};
 use terrane::formats::verify;
 
 use crate::gltf_builder::*;
@@ -176,4 +176,103 @@ fn image_that_cannot_be_read_leaves_the_mesh() {
     assert_eq!(textured(json!({}), Some(&image[..40])), (false, 1));
     assert_eq!(textured(json!({}), None), (false, 1));
     assert_eq!(textured(json!({ "uri": "data:image/png;base64,!" }), None), (false, 1));
+}
+
+/// Regression: one such vertex took the primitive.
+#[test]
+fn vertices_whose_positions_are_no_numbers_take_their_triangles() {
+    let drawn = |positions: &[f32], indices: &[u16], mode: u32| {
+        let mut gltf = GltfBuilder::new();
+        let positions = gltf.floats("VEC3", positions);
+        let list = gltf.accessor(UNSIGNED_SHORT, "SCALAR", indices.len(), &shorts(indices));
+        gltf.draw(json!({ "attributes": { "POSITION": positions }, "indices": list, "mode": mode }));
+        gltf
+    };
+    let square = [f32::NAN, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, f32::INFINITY, 2.0];
+    for (mode, left, left_out) in [(4, vec![1, 2, 3], 2), (5, vec![1, 2, 3], 4), (0, vec![1, 2, 3], 6)] {
+        let read = drawn(&square, &[0, 4, 0, 1, 2, 3, 4, 0, 4], mode).read();
+        let (mesh, _) = read.mesh();
+        let mut indices = mesh.indices.to_vec();
+        indices.sort_unstable();
+        assert_eq!(indices, left, "mode {mode}");
+        assert_eq!(read.ignored.count("glTF: triangle, line or point whose positions are not finite"), left_out);
+        assert!(mesh.vertices.iter().flat_map(|vertex| vertex.position).all(f32::is_finite));
+        assert_eq!((mesh.bounds.min.to_array(), mesh.bounds.max.to_array()), ([0.0; 3], [1.0, 1.0, 0.0]));
+    }
+    assert!(drawn(&square, &[0, 1, 2], 4).error().contains("no primitive has finite positions"));
+    assert!(drawn(&[f32::NAN; 9], &[0, 1, 2], 4).error().contains("no position is finite"));
+}
+
+#[test]
+fn node_with_an_invalid_transform_is_left_out_alone() {
+    let mut gltf = triangle(|_, _| {});
+    gltf.json["nodes"][0]["rotation"] = json!([0, 0, 0, 0]);
+    assert!(gltf.read().ignored.is_empty(), "four zeros are no rotation");
+    let odd = gltf.push("nodes", json!({ "mesh": 0, "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 2] }));
+    gltf.json["scenes"][0]["nodes"] = json!([0, odd]);
+    let read = gltf.read();
+    assert_eq!((read.drawables().len(), read.ignored.iter().count()), (1, 1));
+    gltf.json["scenes"][0]["nodes"] = json!([odd]);
+    assert!(gltf.error().contains("not affine"));
+}
+
+#[test]
+fn chunks_may_be_padded_with_zeros_and_shorter_than_declared() {
+    let mut gltf = triangle(|_, _| {});
+    let text = |gltf: &GltfBuilder, before: &str, after: &str| -> Vec<u8> {
+        let json = [before, std::str::from_utf8(&gltf.text()).unwrap(), after].concat();
+        let words = [2, 20 + json.len() as u32, json.len() as u32].map(u32::to_le_bytes).concat();
+        [b"glTF", &words[..], b"JSON", json.as_bytes()].concat()
+    };
+    for (before, after) in [("", "\0\0\0"), ("\u{feff}", ""), ("\u{feff}", " \0")] {
+        assert_eq!(read(text(&gltf, before, after), Vec::new()).unwrap().drawables().len(), 1, "{after:?}");
+    }
+    let uri = data_uri(&gltf.buffer);
+    gltf.json["buffers"] = json!([{ "byteLength": gltf.buffer.len() + 400, "uri": uri }]);
+    let long = gltf.read();
+    assert_eq!((long.drawables().len(), long.ignored.iter().count()), (1, 1));
+}
+
+/// Regression: a content without its only buffer counted as drawn.
+#[test]
+fn content_of_which_nothing_is_left_says_why() {
+    let mut gltf = triangle(|_, _| {});
+    gltf.json["buffers"] = json!([{ "byteLength": gltf.buffer.len(), "uri": "sub\\a.bin" }]);
+    let known = |bytes: Result<Vec<u8>, IoError>| read(gltf.text(), vec![("/set/sub/a.bin".into(), bytes)]);
+    assert_eq!(known(Ok(gltf.buffer.clone())).unwrap().drawables().len(), 1, "a backslash of Windows");
+    let gone = known(Err(IoError::NotFound { uri: "/set/sub/a.bin".into() }));
+    assert!(matches!(gone.unwrap_err(), IoError::NotFound { .. }));
+}
+
+#[test]
+fn text_in_another_encoding_and_null_among_numbers_are_read() {
+    let mut gltf = triangle(|_, primitive| primitive["material"] = 0.into());
+    let factors = json!({ "diffuseFactor": [1, 1, 1, 1], "specularFactor": [0, null, null] });
+    let extensions = json!({ "KHR_materials_pbrSpecularGlossiness": factors });
+    gltf.push("materials", json!({ "name": "Z?rich", "extensions": extensions }));
+    gltf.json["extensionsUsed"] = json!(["KHR_materials_pbrSpecularGlossiness"]);
+    assert_eq!(gltf.read().drawables().len(), 1);
+    let mut text = gltf.text();
+    let at = text.iter().position(|byte| *byte == b'?').unwrap();
+    text[at] = 0xfc;
+    let read = read(text, Vec::new()).unwrap();
+    assert_eq!((read.drawables().len(), kinds(&read).len()), (1, 1), "{:?}", kinds(&read));
+}
+
+#[test]
+fn colours_of_integers_are_normalized_whatever_they_say() {
+    for (component, bytes) in
+        [(UNSIGNED_BYTE, vec![255, 51, 0].repeat(3)), (UNSIGNED_SHORT, shorts(&[65535, 13107, 0].repeat(3)))]
+    {
+        for normalized in [true, false] {
+            let gltf = triangle(|gltf, primitive| {
+                let colors = gltf.accessor(component, "VEC3", 3, &bytes);
+                gltf.json["accessors"][colors]["normalized"] = normalized.into();
+                primitive["attributes"]["COLOR_0"] = colors.into();
+            });
+            let read = gltf.read();
+            assert_eq!(read.mesh().0.vertices[2].color, [255, 51, 0, 255]);
+            assert_eq!(kinds(&read).len(), usize::from(!normalized));
+        }
+    }
 }

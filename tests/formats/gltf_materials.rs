@@ -443,6 +443,9 @@ fn unknown_required_extensions_are_refused_by_name() {
     gltf.json["extensionsRequired"] = json!(["KHR_materials_of_tomorrow"]);
     assert_eq!(gltf.read().drawables().len(), 1);
     assert_eq!(read.ignored.count("glTF extension KHR_materials_sheen"), 1);
+    // An image that only AV1 decoders read leaves the mesh without it.
+    gltf.json["extensionsRequired"] = json!(["EXT_texture_avif"]);
+    assert_eq!(gltf.read().drawables().len(), 1);
 }
 
 /// Files that others' viewers draw, and that were drawn wrongly once.

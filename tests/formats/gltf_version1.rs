@@ -165,6 +165,11 @@ fn binary_files_have_their_buffer_and_images_in_the_body() {
         assert_eq!(format!("{:?}", read.node), new, "{body}");
         assert_eq!(kinds(&read), [SHADERS]);
     }
+    // Assimp does not list it.
+    let text = old.json.to_string();
+    assert!(!text.contains(r#""binary_glTF":"#));
+    let unlisted = read(glb_1(&text, &old.buffer), Vec::new()).unwrap();
+    assert_eq!(format!("{:?}", unlisted.node), new);
     let whole = old.glb("binary_glTF");
     for length in 4..whole.len() {
         assert!(read(whole[..length].to_vec(), Vec::new()).is_err(), "cut to {length} bytes");

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
+use kit::contents::cmpt_bytes;
 use serde_json::json;
 use terrane::fetch::{IoError, Limits};
 use terrane::formats::writers::{GlbMesh, write_glb};
@@ -183,6 +184,38 @@ fn i3dm_quantized_positions_and_east_north_up() {
     assert_eq!(center[0], [[0.0; 3], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
     let broken = table.replace(r#""QUANTIZED_VOLUME_SCALE":[10,20,30],"#, "");
     assert!(instances(i3dm(&broken, &binary, 1, &model()), Vec::new()).is_err());
+}
+
+/// The specification allows lists of numbers in the JSON of a feature table. CesiumJS reads them.
+#[test]
+fn i3dm_columns_may_be_lists_in_the_json() {
+    let table = r#"{"INSTANCES_LENGTH":2,"POSITION":[1,2,3,4,5,6],"SCALE":{"byteOffset":0},"BATCH_ID":[7,8],
+        "NORMAL_UP":[0,1,0,0,0,1],"NORMAL_RIGHT":[1,0,0,0,1,0]}"#;
+    let read = |table: &str| frames(&instances(i3dm(table, &floats(&[2.0, 3.0]), 1, &model()), Vec::new()).unwrap());
+    let [one, two] = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]];
+    assert_eq!([read(table)[0], read(table)[1]].map(|[origin, ..]| origin), [one, two]);
+    assert_eq!(read(table)[1][1], [0.0, 3.0, 0.0]);
+    let single = r#"{"INSTANCES_LENGTH":1,"POSITION":[1,2,3],"SCALE":[5]}"#;
+    assert_eq!(read(single)[0], [one, [5.0, 0.0, 0.0], [0.0, 0.0, 5.0]], "a list of one number is no offset");
+    let short = r#"{"INSTANCES_LENGTH":1,"POSITION":[1,2]}"#;
+    let error = instances(i3dm(short, &[], 1, &model()), Vec::new()).unwrap_err().to_string();
+    assert!(error.contains("a column reaches beyond"), "{error}");
+    let odd = instances(i3dm(r#"{"INSTANCES_LENGTH":"x"}"#, &[], 1, &model()), Vec::new()).unwrap_err().to_string();
+    assert!(odd.contains("neither what its name says nor a byteOffset"), "{odd}");
+}
+
+/// Regression: a vector tile in a composite took the mesh beside it.
+#[test]
+fn unsupported_tile_of_a_composite_leaves_the_others() {
+    let vector = [b"vctr", &1_u32.to_le_bytes()[..], &16_u32.to_le_bytes(), &[0; 4]].concat();
+    let mesh = i3dm(r#"{"INSTANCES_LENGTH":1,"POSITION":[1,2,3]}"#, &[], 1, &model());
+    let (node, ignored) =
+        decode_noting(content(cmpt_bytes(&[vector.clone(), mesh.clone()]), Vec::new()), &options()).unwrap();
+    assert_eq!(node.children.len(), 1);
+    let kinds: Vec<&str> = ignored.iter().map(|(kind, _)| kind).collect();
+    assert!(kinds.len() == 1 && kinds[0].contains("vector tile"), "{kinds:?}");
+    assert!(decode(content(cmpt_bytes(&[vector]), Vec::new()), &options()).is_err());
+    assert!(decode(content(cmpt_bytes(&[mesh, b"pnts".repeat(4)]), Vec::new()), &options()).is_err());
 }
 
 #[test]

@@ -21,8 +21,11 @@ pub(super) fn parse(context: &Context<'_>, chunks: &Chunks<'_>) -> Result<(gltf:
         let unknown = required.iter().find(|name| !extensions::may_be_required(name));
         unknown.map(|name| IoError::unsupported(uri, format!("required glTF extension {name}")))
     };
-    limits.check_json(uri, chunks.json)?;
-    let mut json = splats::with_kept_names(Cow::Borrowed(chunks.json));
+    limits.check_json(uri, &chunks.json)?;
+    if matches!(chunks.json, Cow::Owned(_)) {
+        context.notes.add("glTF: text that is not UTF-8, such as names");
+    }
+    let mut json = splats::with_kept_names(Cow::Borrowed(&chunks.json));
     let mut parsed = json::Root::from_slice(&json);
     // The objects of older versions have ids instead of indices, so that they are not parsed.
     if parsed.is_err()
@@ -107,6 +110,11 @@ fn repaired(json: &[u8], context: &Context<'_>) -> Option<Vec<u8>> {
             Value::Object(members) => {
                 members.retain(|_, member| !member.is_null());
                 members.values_mut().for_each(repair);
+            }
+            // NaN becomes null in JavaScript, and null counts as 0 there.
+            Value::Array(numbers) if numbers.iter().any(Value::is_number) => {
+                numbers.iter_mut().filter(|number| number.is_null()).for_each(|number| *number = 0.into());
+                numbers.iter_mut().for_each(repair);
             }
             Value::Array(elements) => elements.iter_mut().for_each(repair),
             Value::Number(number) if number.is_f64() => {

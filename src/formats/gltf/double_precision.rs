@@ -68,7 +68,7 @@ impl DoublePrecision {
             None => DAffine3::from_scale_rotation_translation(
                 own.scale.map_or(DVec3::ONE, DVec3::from_array),
                 // The written digits make the length deviate from 1.
-                own.rotation.map_or(DQuat::IDENTITY, |q| DQuat::from_array(q).normalize()),
+                own.rotation.map_or(DQuat::IDENTITY, unit_rotation),
                 own.translation.map_or(DVec3::ZERO, DVec3::from_array),
             ),
         };
@@ -79,5 +79,13 @@ impl DoublePrecision {
     pub fn cesium_rtc(&self) -> Option<DVec3> {
         let center = DVec3::from_array(self.extensions.as_ref()?.cesium_rtc.as_ref()?.center);
         center.is_finite().then_some(center)
+    }
+}
+
+/// Returns a rotation of length 1: no rotation for four zeros, which some exporters write for it.
+fn unit_rotation(numbers: [f64; 4]) -> DQuat {
+    match numbers == [0.0; 4] {
+        true => DQuat::IDENTITY,
+        false => DQuat::from_array(numbers).normalize(),
     }
 }

@@ -35,6 +35,7 @@ const SUPPORTED: &[&str] = &[
 const DISPENSABLE: &[&str] = &[
     "EXT_lights_ies",
     "EXT_lights_image_based",
+    "EXT_texture_avif",
     "FB_ngon_encoding",
     "KHR_animation_pointer",
     "KHR_interactivity",

@@ -1,10 +1,13 @@
 //! The binary containers of glTF 2.0 and of glTF 1.0 (KHR_binary_glTF).
 
+use std::borrow::Cow;
+
 use crate::fetch::IoError;
 
 /// The chunks of a binary glTF.
 pub(super) struct Chunks<'a> {
-    pub json: &'a [u8],
+    /// UTF-8; characters of other encodings, as in names, are replaced.
+    pub json: Cow<'a, [u8]>,
     pub binary: Option<&'a [u8]>,
 }
 
@@ -33,7 +36,7 @@ pub(super) fn chunks<'a>(uri: &str, bytes: &'a [u8]) -> Result<Chunks<'a>, IoErr
             Some(0) => {
                 let end = HEADER_1_BYTES.checked_add(size).filter(|end| *end <= length);
                 let end = end.ok_or_else(|| bad("JSON beyond the end"))?;
-                Ok(Chunks { json: &bytes[HEADER_1_BYTES..end], binary: Some(&bytes[end..length]) })
+                Ok(Chunks { json: text(&bytes[HEADER_1_BYTES..end]), binary: Some(&bytes[end..length]) })
             }
             format => Err(IoError::unsupported(uri, format!("glb version 1 with content format {format:?}"))),
         };
@@ -46,11 +49,22 @@ pub(super) fn chunks<'a>(uri: &str, bytes: &'a [u8]) -> Result<Chunks<'a>, IoErr
         let end = (at + 8).checked_add(size).filter(|e| *e <= length).ok_or_else(|| bad("chunk beyond the end"))?;
         let data = &bytes[at + 8..end];
         match kind {
-            b"JSON" if json.is_none() => json = Some(data),
+            b"JSON" if json.is_none() => json = Some(text(data)),
             b"BIN\0" if binary.is_none() => binary = Some(data),
             _ => {}
         }
         at = end.next_multiple_of(4);
     }
     Ok(Chunks { json: json.ok_or_else(|| bad("no JSON chunk"))?, binary })
+}
+
+/// Returns JSON as UTF-8, without a byte order mark and without zeros at its end, which some writers pad it with instead of
+/// spaces.
+pub(super) fn text(json: &[u8]) -> Cow<'_, [u8]> {
+    let json = json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(json);
+    let json = &json[..json.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1)];
+    match String::from_utf8_lossy(json) {
+        Cow::Borrowed(text) => Cow::Borrowed(text.as_bytes()),
+        Cow::Owned(text) => Cow::Owned(text.into_bytes()),
+    }
 }

@@ -43,7 +43,7 @@ impl<'a> GltfSource<'a> {
     fn chunks(&self) -> Result<Chunks<'a>, IoError> {
         match self.bytes.starts_with(b"glTF") {
             true => glb::chunks(self.uri, self.bytes),
-            false => Ok(Chunks { json: self.bytes, binary: None }),
+            false => Ok(Chunks { json: glb::text(self.bytes), binary: None }),
         }
     }
 }
@@ -55,13 +55,13 @@ pub(in crate::formats) fn references(uri: &str, bytes: &[u8], options: &ReadOpti
     let source = GltfSource { uri, base: uri, bytes, rtc_center: None, batch_table: None, companions: &[] };
     let limits = &options.limits;
     // The decoder returns the error.
-    let chunks = source.chunks().ok().filter(|chunks| limits.check_json(uri, chunks.json).is_ok());
+    let chunks = source.chunks().ok().filter(|chunks| limits.check_json(uri, &chunks.json).is_ok());
     let Some(chunks) = chunks else { return Vec::new() };
     let of_version_1 = || {
         let upgraded = version1::upgraded(uri, &chunks, limits, &Notes::default()).ok().flatten();
         external::references(&upgraded.filter(|json| limits.check_json(uri, json).is_ok())?, with_schema)
     };
-    external::references(chunks.json, with_schema).or_else(of_version_1).unwrap_or_default()
+    external::references(&chunks.json, with_schema).or_else(of_version_1).unwrap_or_default()
 }
 
 /// Reads a glTF or glb. The root of the result rotates the content to z-up. Invalid primitives are noted and left out; if no
@@ -142,8 +142,11 @@ impl Reader<'_> {
         if visibility.and_then(|of| of.get("visible")?.as_bool()) == Some(false) {
             return Ok(Node::group(Vec::new()));
         }
-        let transform = self.double.transform(node.index());
-        let transform = transform.ok_or_else(|| self.context.bad("transform of a node is not affine and finite"))?;
+        let Some(transform) = self.double.transform(node.index()) else {
+            self.context.notes.add("glTF: node that is not drawn because its transform is not affine and finite");
+            self.meshes.refuse(self.context.bad("transform of a node is not affine and finite"));
+            return Ok(Node::group(Vec::new()));
+        };
         let mut children = Vec::new();
         if let Some(mesh) = node.mesh() {
             match node.skin() {

@@ -13,6 +13,7 @@ use super::semantics::{CONTENT_GROUP_ID, CONTENT_URI, Overrides, Semantic, Volum
 use crate::fetch::IoError;
 use crate::formats::embedded;
 use crate::formats::ignored::Notes;
+use crate::formats::lenient::from_json;
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::properties::{ClassProperty, Entities, Schema, SharedBytes, TableJson, TableSource};
 use crate::scene::Metadata;
@@ -330,5 +331,5 @@ impl<'a> Chunks<'a> {
 /// Parses JSON that spaces or zeros pad.
 fn parse_json(json: &[u8]) -> Result<SubtreeJson, String> {
     let end = json.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
-    serde_json::from_slice(&json[..end]).map_err(|e| format!("JSON: {e}"))
+    from_json(&json[..end]).map_err(|e| format!("JSON: {e}"))
 }

@@ -72,8 +72,9 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], options: &ReadOptions, n
     let end = json_end.checked_add(binary_bytes).ok_or_else(|| bad("the lengths in the header overflow"))?;
     let binary = bytes.get(json_end..end).ok_or_else(|| bad("truncated feature table"))?;
     options.limits.check_json(uri, json)?;
-    let table: FeatureTable =
-        feature_table::parse(json).map_err(|e| IoError::invalid(uri, format!("pnts feature table: {e}")))?;
+    let invalid = |e: serde_json::Error| IoError::invalid(uri, format!("pnts feature table: {e}"));
+    let (table, binary) = feature_table::parse_columns(json, binary).map_err(invalid)?;
+    let (table, binary): (FeatureTable, &[u8]) = (table, &binary);
     let count = table.points_length.count(binary).ok_or_else(|| bad("POINTS_LENGTH is invalid"))?;
     if count > options.limits.max_elements {
         return Err(bad(&format!("{count} points")));
@@ -118,7 +119,12 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], options: &ReadOptions, n
             _ => vec![constant; count],
         },
     };
-    let mut mesh = mesh_of(positions, normals.as_deref(), colors).map_err(|reason| bad(&reason))?;
+    let mut mesh = mesh_of(positions, normals.as_deref(), colors);
+    let invalid = mesh.vertices.len() - mesh.indices.len();
+    if invalid > 0 && mesh.indices.is_empty() {
+        return Err(bad("no position is finite"));
+    }
+    notes.add_count("pnts: point that is not drawn because its position is not finite", invalid as u64);
     let wants_attribute = options.vertex_attributes.iter().any(|name| **name == *BATCH_ID_ATTRIBUTE);
     let ids = match draco.as_ref().and_then(DracoPoints::batch_ids) {
         Some(ids) => Some(ids),
@@ -150,15 +156,20 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], options: &ReadOptions, n
     Ok(Node::transform(DAffine3::from_translation(origin), vec![geode]))
 }
 
-/// Returns a mesh of points with colours in sRGB. The error is the reason why there is none.
-fn mesh_of(positions: Vec<Vec3>, normals: Option<&[Vec3]>, colors: Vec<[u8; 4]>) -> Result<Mesh, String> {
+/// Returns a mesh of points with colours in sRGB. A point whose position is not finite keeps its vertex, which no index refers
+/// to, so that features still go by the number of a point.
+fn mesh_of(positions: Vec<Vec3>, normals: Option<&[Vec3]>, colors: Vec<[u8; 4]>) -> Mesh {
     let mut bounds = Aabb::EMPTY;
     let mut vertices = Vec::with_capacity(positions.len());
-    for (i, (position, [red, green, blue, alpha])) in positions.into_iter().zip(colors).enumerate() {
-        if !position.is_finite() {
-            return Err(format!("position {i} is not finite"));
+    let mut indices = Vec::with_capacity(positions.len());
+    for (i, (mut position, [red, green, blue, alpha])) in positions.into_iter().zip(colors).enumerate() {
+        match position.is_finite() {
+            true => {
+                bounds = bounds.union(&Aabb { min: position.as_dvec3(), max: position.as_dvec3() });
+                indices.push(i as u32);
+            }
+            false => position = Vec3::ZERO,
         }
-        bounds = bounds.union(&Aabb { min: position.as_dvec3(), max: position.as_dvec3() });
         let normal = normals.and_then(|n| n.get(i)).copied().unwrap_or(Vec3::ZERO);
         let normal = (normal.clamp(Vec3::NEG_ONE, Vec3::ONE) * 127.0).round();
         vertices.push(MeshVertex {
@@ -169,8 +180,7 @@ fn mesh_of(positions: Vec<Vec3>, normals: Option<&[Vec3]>, colors: Vec<[u8; 4]>)
             ..MeshVertex::default()
         });
     }
-    let indices: Arc<[u32]> = (0..vertices.len() as u32).collect();
-    Ok(Mesh { vertices, indices, topology: Topology::Points, bounds, ..Mesh::default() })
+    Mesh { vertices, indices: indices.into(), topology: Topology::Points, bounds, ..Mesh::default() }
 }
 
 /// Returns the features of points from their batch ids and the batch table, which `bytes` begin with: JSON and a binary part of
@@ -322,6 +332,25 @@ mod tests {
         assert_eq!(material.alpha, AlphaMode::Opaque);
         let (_, _, glass) = cloud(&pnts(&json.replace("255,255,0,255", "255,255,0,128"), &binary));
         assert_eq!(glass.alpha, AlphaMode::Blend);
+    }
+
+    #[test]
+    fn columns_may_be_lists_in_the_json() {
+        let (_, mesh, _) =
+            cloud(&pnts(r#"{"POINTS_LENGTH":2,"POSITION":[1,2,3,4,5,6],"RGB":[255,0,128,0,255,0]}"#, &[]));
+        assert_eq!((mesh.vertices[1].position, mesh.vertices[0].color), ([4.0, 5.0, 6.0], [255, 0, 55, 255]));
+        assert!(read("t", &pnts(r#"{"POINTS_LENGTH":3,"POSITION":[1,2,3,4,5,6]}"#, &[]), &options()).is_err());
+    }
+
+    /// Regression: one of them took the cloud.
+    #[test]
+    fn points_without_finite_positions_are_left_out() {
+        let of = |x: f32| [1.0, 2.0, 3.0, x, 0.0, 0.0].iter().flat_map(|x: &f32| x.to_le_bytes()).collect::<Vec<u8>>();
+        let json = r#"{"POINTS_LENGTH":2,"POSITION":{"byteOffset":0}}"#;
+        let (_, mesh, _) = cloud(&pnts(json, &of(f32::NAN)));
+        assert_eq!((mesh.vertices.len(), &mesh.indices[..], mesh.bounds.min.x), (2, &[0][..], 1.0));
+        let none = pnts(json, &[0xff; 24]);
+        assert!(read("t", &none, &options()).unwrap_err().to_string().contains("no position is finite"));
     }
 
     #[test]

@@ -11,8 +11,13 @@ pub(crate) fn is_tileset_text(uri: &str, text: &[u8]) -> Result<bool, IoError> {
         #[serde(rename = "geometricError")]
         geometric_error: Option<serde::de::IgnoredAny>,
     }
-    let probe: Probe = serde_json::from_slice(text).map_err(|e| IoError::invalid(uri, format!("JSON: {e}")))?;
-    Ok(probe.root.is_some() || probe.geometric_error.is_some())
+    let text = &*String::from_utf8_lossy(text);
+    match serde_json::from_str::<Probe>(text) {
+        Ok(probe) => Ok(probe.root.is_some() || probe.geometric_error.is_some()),
+        // The parser of tilesets has the better error, and reads repeated members.
+        Err(_) if text.contains("\"geometricError\"") => Ok(true),
+        Err(error) => Err(IoError::invalid(uri, format!("JSON: {error}"))),
+    }
 }
 
 /// Returns true for the bytes of a tileset, whatever its name.

@@ -10,7 +10,9 @@ use crate::fetch::{IoError, Limits};
 use crate::formats::embedded::is_data_uri;
 use crate::formats::height::{SetExtras, TileExtras};
 use crate::formats::implicit::ImplicitTilingJson;
-use crate::formats::lenient::{Number, Numbers, Text, object, objects, optional_object, texts, valid_or_default};
+use crate::formats::lenient::{
+    Number, Numbers, Text, from_json, object, objects, optional_object, texts, valid_or_default,
+};
 use crate::formats::tile::{Body, ELLIPSOID};
 
 /// Supported extensions that a tileset may require, including those that do not affect drawing.
@@ -335,8 +337,11 @@ fn invalid_json(uri: &str, bytes: &[u8], error: &serde_json::Error) -> IoError {
 pub(crate) fn parse(uri: &str, bytes: &[u8], limits: &Limits) -> Result<TilesetJson, IoError> {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     refuse_markup(uri, bytes)?;
+    // Names in another encoding, which some writers use, are replaced.
+    let text = String::from_utf8_lossy(bytes);
+    let bytes = text.as_bytes();
     limits.check_json(uri, bytes)?;
-    let tileset: TilesetJson = serde_json::from_slice(bytes).map_err(|error| invalid_json(uri, bytes, &error))?;
+    let tileset: TilesetJson = from_json(bytes).map_err(|error| invalid_json(uri, bytes, &error))?;
     let version = tileset.asset.version();
     if !matches!(version, "0.0" | "1.0" | "1.1") {
         return Err(IoError::unsupported(uri, format!("3D Tiles version {version:?}")));

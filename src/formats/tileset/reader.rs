@@ -74,6 +74,9 @@ pub(super) fn read_noting(
         });
     }
     let tileset = json::parse(uri, bytes, &options.limits)?;
+    if std::str::from_utf8(bytes).is_err() {
+        notes.add("tileset: text that is not UTF-8");
+    }
     note_ignored(&tileset, notes);
     let ellipsoid = ellipsoid_of(&tileset, options, notes);
     let options = &ReadOptions { ellipsoid, ..options.clone() };
@@ -179,11 +182,7 @@ impl Reader<'_> {
         let volume = |json: &VolumeJson| self.bounding_volume(json, &content_transform);
         let bounds = volume(&json.bounding_volume)?;
         let request_volume = json.viewer_request_volume.as_ref().map(volume).transpose()?;
-        let geometric_error = json.geometric_error.map_or(inherited.geometric_error, |error| error.0);
-        if !(geometric_error.is_finite() && geometric_error >= 0.0) {
-            let reason = format!("geometricError {geometric_error} of a tile is negative or not finite");
-            return Err(IoError::invalid(self.uri, reason));
-        }
+        let geometric_error = self.geometric_error(&json, &inherited)?;
         let mut geometric_error_m = geometric_error * crate::math::max_scale(&content_transform.matrix3);
         let metadata = self.metadata.as_mut().and_then(|set| set.of_tile(&json, level == 0));
         if let Some(tiling) = json.implicit_tiling() {
@@ -247,6 +246,19 @@ impl Reader<'_> {
         })
     }
 
+    /// Returns the geometric error of a tile, which is its parent's if it has none. A negative one, which some writers give
+    /// tiles without children, is 0.
+    fn geometric_error(&self, json: &TileJson, inherited: &Inherited) -> Result<f64, IoError> {
+        let error = json.geometric_error.map_or(inherited.geometric_error, |error| error.0);
+        if !error.is_finite() {
+            return Err(IoError::invalid(self.uri, format!("geometricError {error} of a tile is not finite")));
+        }
+        if error < 0.0 {
+            self.notes.add("geometricError that is negative, and taken as 0");
+        }
+        Ok(error.max(0.0))
+    }
+
     /// Returns a tile that stands for an implicit tree: its content is the subtree of the root.
     fn implicit_root(
         &self,
@@ -276,7 +288,7 @@ impl Reader<'_> {
                 options: self.options,
                 volume: root_volume(self.uri, &json.bounding_volume, self.options.ellipsoid)?,
                 tileset_from_set: inverse(&self.options.set_from_content),
-                geometric_error: json.geometric_error.map_or(inherited.geometric_error, |error| error.0),
+                geometric_error: self.geometric_error(json, &inherited)?,
                 refine: root.refine,
                 content_transform: root.content_transform,
                 parent_transform: parent,

@@ -1,5 +1,7 @@
 //! Bounding volumes and transforms of tiles.
 
+use std::f64::consts::{PI, TAU};
+
 use glam::{DAffine3, DMat3, DVec3};
 use serde::Deserialize;
 use serde_json::Value;
@@ -102,12 +104,21 @@ fn region(uri: &str, json: &VolumeJson, ellipsoid: Ellipsoid) -> Result<Option<R
     let Some(v) = json.region.as_ref().map(|v| v.0.as_slice()) else { return Ok(None) };
     let bad = || IoError::invalid(uri, format!("bounding region {v:?} is invalid"));
     let &[west, south, east, north, min_height_m, max_height_m] = v else { return Err(bad()) };
-    let pi = std::f64::consts::PI + 1e-6;
+    let pi = PI + 1e-6;
     let finite = v.iter().all(|x| x.is_finite() && x.abs() < 1e9);
-    let angles = west.abs() <= pi && east.abs() <= pi && south.abs() <= 0.5 * pi && north.abs() <= 0.5 * pi;
-    if !finite || !angles || south > north || min_height_m > max_height_m {
+    let angles = west.abs() <= 2.0 * pi && east.abs() <= 2.0 * pi && south.abs() <= 0.5 * pi && north.abs() <= 0.5 * pi;
+    if !finite || !angles {
         return Err(bad());
     }
+    // Some writers count longitudes from 0 to 360 degrees, or go on beyond 180. Others mix up the lower and the upper corner.
+    let is_whole_turn = east - west >= TAU - 1e-6;
+    let wrapped = |longitude: f64| match longitude.abs() > pi {
+        true => longitude - TAU.copysign(longitude),
+        false => longitude,
+    };
+    let (west, east) = if is_whole_turn { (-PI, PI) } else { (wrapped(west), wrapped(east)) };
+    let (south, north) = (south.min(north), south.max(north));
+    let (min_height_m, max_height_m) = (min_height_m.min(max_height_m), min_height_m.max(max_height_m));
     Ok(Some(Region { west, south, east, north, min_height_m, max_height_m, ellipsoid }))
 }
 

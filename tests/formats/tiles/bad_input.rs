@@ -153,7 +153,6 @@ fn totals_of_a_gltf_are_limited() {
         (nodes(r#"{"children":[1,1]},{}"#), "node 1 has two parents"),
         (nodes(r#"{"children":[1]},{"children":[0]}"#), "node 0 has two parents"),
         (nodes(r#"{"matrix":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,2]}"#), "not affine"),
-        (nodes(r#"{"rotation":[0,0,0,0]}"#), "not affine and finite"),
     ] {
         let reason = read(bad).unwrap_err().to_string();
         assert!(reason.contains(why), "{reason}");
@@ -181,6 +180,8 @@ fn wrong_magic_web_pages_and_foreign_formats_are_named() {
     assert!(refused(b"\x01\x02\x03\x04rubbish").contains("of no known format"));
     assert!(refused(b"<html>404</html>").contains("error page"));
     assert!(refused(b"").contains("empty"));
+    assert!(refused(b"version https://git-lfs.github.com/spec/v1\noid sha256:1\nsize 1\n").contains("git lfs pull"));
+    assert!(refused(b"SQLite format 3\0").contains(".3dtiles"));
     for (magic, name) in
         [("i3dm", "i3dm"), ("cmpt", "cmpt"), ("subt", "implicit"), ("vctr", "vector tile"), ("geom", "geometry tile")]
     {
@@ -239,14 +240,12 @@ fn invalid_bounds_and_errors_are_refused() {
         r#""sphere":[0,0,1e300,1]"#,
         r#""sphere":[0,0,0]"#,
         r#""box":[1,2,3]"#,
-        r#""region":[0,1,0.1,0.5,0,10]"#,
-        r#""region":[0,0,0.1,0.5,10,0]"#,
         r#""region":[0,0,99,0.5,0,10]"#,
+        r#""region":[0,0,0.1,2,0,10]"#,
         "",
     ] {
         refused(&tileset(volume, "1", "a.glb"));
     }
-    refused(&tileset(SPHERE, "-1", "a.glb"));
     refused(&tileset(SPHERE, "NaN", "a.glb"));
     refused(&tileset(SPHERE, "1e999", "a.glb"));
 }

@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::Path;
 
+use kit::contents::pnts_bytes;
 use terrane::fetch::Limits;
 use terrane::formats::writers::{GlbMesh, write_glb, write_height_exr};
 use terrane::formats::{MapFrame, SurveyEvent, SurveyOptions, SurveyedTile, Verified, survey, verify};
@@ -120,6 +121,28 @@ fn content_outside_of_its_volume_is_named() {
     write_heights(folder.path(), [30.0, 31.0], peak);
     let found = verified(folder.path());
     assert_eq!(problems(&found), [("geometricError larger than that of the tile above", 4, "child0.exr")]);
+}
+
+/// Regression: only triangles were looked at. py3dtiles 12 writes glTF of points that is z-up.
+#[test]
+fn points_outside_of_their_volume_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let box_of = |z: f64| format!(r#"{{"box":[0,0,{z},10,0,0,0,10,0,0,0,1]}}"#);
+    for (z, expected) in
+        [(0.0, vec![]), (5.0, vec![("content outside of the bounding volume of its tile", 1, "a.pnts")])]
+    {
+        let text = format!(
+            r#"{{"asset":{{"version":"1.1"}},"geometricError":1,
+            "root":{{"boundingVolume":{},"geometricError":0,"content":{{"uri":"a.pnts"}}}}}}"#,
+            box_of(z)
+        );
+        fs::write(folder.path().join("tileset.json"), text).unwrap();
+        let points = pnts_bytes(r#"{"POINTS_LENGTH":2,"POSITION":[0,0,0,9,9,0.5]}"#, &[]);
+        fs::write(folder.path().join("a.pnts"), points).unwrap();
+        let found = verified(folder.path());
+        assert_eq!(problems(&found), expected);
+        assert!(found.problems.iter().all(|problem| problem.detail.starts_with("4.000 m")), "{:?}", found.problems);
+    }
 }
 
 /// Returns a mesh of 4 x 4 cells with skirts of 50 m, y-up.

@@ -8,7 +8,8 @@ use glam::{DAffine3, DVec3};
 use kit::skip::skipped;
 use terrane::fetch::{Limits, root_uri};
 use terrane::formats::writers::{GlbMesh, write_glb};
-use terrane::formats::{Content, ReadOptions, decode_node, inspect, verify};
+use terrane::formats::{Content, ReadOptions, decode_node, decode_noting, inspect, verify};
+use terrane::math::BoundingVolume;
 use terrane::scene::{Geometry, Node, NodeKind, PagedLod, RangeMode, ReaderData, Refine};
 
 const SET: &str = "/set/tileset.json";
@@ -112,7 +113,6 @@ fn spellings_of_old_converters_are_read() {
 fn invalid_tiles_fail_alone() {
     let good = format!(r#"{{{SPHERE},"geometricError":1,"content":{{"uri":"good.glb"}}}}"#);
     for (bad, reason) in [
-        (format!(r#"{{{SPHERE},"geometricError":-1}}"#), "geometricError -1"),
         (format!(r#"{{{SPHERE},"geometricError":"much"}}"#), "geometricError NaN"),
         ("7".to_owned(), "neither box, region nor sphere"),
         (r#"{"boundingVolume":"large","geometricError":1}"#.to_owned(), "neither box, region nor sphere"),
@@ -144,6 +144,58 @@ fn invalid_tiles_fail_alone() {
         let error = content_of(lod(spoilt), Vec::new()).err().unwrap_or_default();
         assert!(error.contains(reason), "{bad}: {error}");
     }
+}
+
+/// Browsers take the last of repeated members. Writers give leaves negative errors.
+#[test]
+fn negative_errors_and_repeated_members_are_read() {
+    let text = format!(
+        r#"{{"asset":{{"version":"1.1"}},"geometricError":1,"geometricError":40,"root":{{{SPHERE},"refine":"ADD","refine":"REPLACE",
+        "geometricError":-1,"content":{{"uri":"no.glb","uri":"a.glb"}},"children":[{{{SPHERE},
+        "geometricError":-2,"content":{{"uri":"b.glb"}}}}]}}}}"#
+    );
+    let content = Content { uri: SET.into(), bytes: text.into(), reader_data: None, companions: Vec::new() };
+    let (node, ignored) = decode_noting(content, &options()).unwrap();
+    assert_eq!((error_m(lod(&node)), error_m(lod(&node.children[0]))), (0.0, 0.0));
+    assert_eq!((lod(&node).content.as_deref(), lod(&node).refine), (Some("/set/a.glb"), Refine::Replace));
+    assert_eq!(ignored.count("geometricError that is negative, and taken as 0"), 2);
+}
+
+/// As browsers decode text. Programs on Windows write names in the encoding of their country.
+#[test]
+fn text_in_another_encoding_is_read() {
+    let text = format!(
+        r#"{{"asset":{{"version":"1.1","extras":"Z?rich"}},"geometricError":1,"root":{{{SPHERE},"geometricError":0,
+        "content":{{"uri":"a.glb"}}}}}}"#
+    );
+    let mut bytes = text.into_bytes();
+    let at = bytes.iter().position(|byte| *byte == b'?').unwrap();
+    bytes[at] = 0xfc;
+    let content = Content { uri: SET.into(), bytes, reader_data: None, companions: Vec::new() };
+    let (node, ignored) = decode_noting(content, &options()).unwrap();
+    assert_eq!(lod(&node).content.as_deref(), Some("/set/a.glb"));
+    assert_eq!(ignored.count("tileset: text that is not UTF-8"), 1);
+    // The error of a tileset that is no JSON is that of its parser.
+    let text = r#"{"asset":{"version":"1.1"},"geometricError":NaN}"#;
+    let content = Content { uri: SET.into(), bytes: text.into(), reader_data: None, companions: Vec::new() };
+    let error = decode_node(content, &options()).unwrap_err().to_string();
+    assert!(error.contains("NaN at line 1 column"), "{error}");
+}
+
+#[test]
+fn corners_of_regions_may_be_mixed_up_or_beyond_the_antimeridian() {
+    let region = |numbers: [f64; 6]| {
+        let node = tileset(&format!(r#"{{"boundingVolume":{{"region":{numbers:?}}},"geometricError":1}}"#));
+        let BoundingVolume::Region(region) = lod(&node).bounds else { panic!("a region") };
+        [region.west, region.south, region.east, region.north, region.min_height_m, region.max_height_m]
+            .map(|x| (x * 1e6).round() / 1e6)
+    };
+    assert_eq!(region([0.1, 0.4, 0.2, 0.3, 90.0, 10.0]), [0.1, 0.3, 0.2, 0.4, 10.0, 90.0]);
+    assert_eq!(region([3.1, 0.3, 3.2, 0.4, 0.0, 1.0]), [3.1, 0.3, -3.083185, 0.4, 0.0, 1.0]);
+    assert_eq!(region([4.0, 0.3, 4.1, 0.4, 0.0, 1.0]), [-2.283185, 0.3, -2.183185, 0.4, 0.0, 1.0]);
+    assert_eq!(region([-3.2, 0.3, -3.1, 0.4, 0.0, 1.0]), [3.083185, 0.3, -3.1, 0.4, 0.0, 1.0]);
+    assert_eq!(region([0.0, -1.5, 6.283185, 1.5, 0.0, 1.0]), [-3.141593, -1.5, 3.141593, 1.5, 0.0, 1.0]);
+    assert_eq!(region([3.0, 0.3, -3.0, 0.4, 0.0, 1.0]), [3.0, 0.3, -3.0, 0.4, 0.0, 1.0]);
 }
 
 #[test]

@@ -24,8 +24,8 @@ pub(in super::super) struct Buffers<'a> {
 
 enum Buffer<'a> {
     Bytes(Cow<'a, [u8]>),
-    /// The file of the buffer is missing.
-    Missing,
+    /// The file of the buffer is missing, for this reason.
+    Missing(IoError),
     /// The document names no bytes: only compressed views refer to the buffer.
     Fallback,
 }
@@ -59,21 +59,32 @@ impl<'a> Buffers<'a> {
                     Some(data) => Buffer::Bytes(Cow::Owned(data?)),
                     None => context.files.get(reference).map(|(_, bytes)| Buffer::Bytes(bytes)).or_else(|error| {
                         context.missing("glTF: external buffer that is missing", &error)?;
-                        Ok(Buffer::Missing)
+                        Ok(Buffer::Missing(error))
                     })?,
                 },
             };
             if let Buffer::Bytes(data) = &data
                 && data.len() < buffer.length()
             {
-                let (got, declared) = (data.len(), buffer.length());
-                return Err(context.bad(format_args!("buffer of {got} bytes, {declared} declared")));
+                // A file may have been cut on its way. In one of a piece it is the number that is wrong.
+                if let gltf::buffer::Source::Uri(reference) = buffer.source()
+                    && data_uri(context.uri, reference).is_none()
+                {
+                    let (got, declared) = (data.len(), buffer.length());
+                    return Err(context.bad(format_args!("buffer of {got} bytes, {declared} declared")));
+                }
+                context.notes.add("glTF: buffer that is shorter than its byteLength");
             }
             buffers.push(data);
         }
         let is_compressed = document.views().any(|view| CompressedView::is_compressed(&view));
         let decompressed = if is_compressed { document.views().map(|_| OnceCell::new()).collect() } else { Vec::new() };
         Ok(Self { context, data: buffers, decompressed })
+    }
+
+    /// Returns the error of the first file that is missing.
+    pub fn first_missing(&self) -> Option<&IoError> {
+        self.data.iter().find_map(|buffer| if let Buffer::Missing(error) = buffer { Some(error) } else { None })
     }
 
     /// Returns the bytes of a view, decompressed on first use; `None` if they are missing.
@@ -97,7 +108,7 @@ impl<'a> Buffers<'a> {
         let outside = || self.context.bad("a bufferView reaches beyond its buffer");
         let bytes = match self.data.get(buffer).ok_or_else(outside)? {
             Buffer::Bytes(bytes) => bytes,
-            Buffer::Missing => return Ok(None),
+            Buffer::Missing(_) => return Ok(None),
             Buffer::Fallback => return Err(self.context.bad(format_args!("buffer {buffer} has no data"))),
         };
         let end = offset.checked_add(length).ok_or_else(outside)?;

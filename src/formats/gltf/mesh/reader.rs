@@ -54,9 +54,15 @@ impl<'a> MeshReader<'a> {
         }
     }
 
-    /// Returns the error of the first invalid primitive if no primitive is drawn.
+    /// Keeps the reason why a part of the glTF is not drawn.
+    pub fn refuse(&mut self, error: IoError) {
+        self.first_error.get_or_insert(error);
+    }
+
+    /// Returns the error of the first invalid part, or of the first missing buffer, if no primitive is drawn.
     pub fn into_result(self) -> Result<(), IoError> {
-        self.first_error.filter(|_| !self.has_drawables).map_or(Ok(()), Err)
+        let error = self.first_error.or_else(|| self.buffers.first_missing().cloned());
+        error.filter(|_| !self.has_drawables).map_or(Ok(()), Err)
     }
 
     /// Reads a mesh. Nodes that draw the same mesh share its vertices. `weights` are those of the node, `skin` its skin.
@@ -82,7 +88,7 @@ impl<'a> MeshReader<'a> {
                 }
                 Err(error @ IoError::Invalid { .. }) => {
                     self.context.notes.add("glTF: invalid primitive that is not drawn");
-                    self.first_error.get_or_insert(error);
+                    self.refuse(error);
                 }
                 Err(error) => return Err(error),
             }
@@ -145,6 +151,7 @@ impl<'a> MeshReader<'a> {
             Some(restart) => assemble_runs(mode, &read, restart),
             None => mode.assemble(read.clone()),
         };
+        let indices = vertices.finite(context, topology, indices)?;
         let list_key = list_key.filter(|_| Arc::ptr_eq(&read, &indices));
         // Points and lines without normals are not lit (glTF 2.0, 3.7.2.1).
         surface.unlit |= topology != Topology::Triangles && !vertices.has_normals;
@@ -162,6 +169,7 @@ impl<'a> MeshReader<'a> {
             unlit: surface.unlit,
             metallic_roughness,
         };
+        let are_finite = vertices.are_finite();
         let Vertices { list, bounds, format, .. } = vertices;
         let mut mesh = Arc::new(Mesh { vertices: list, indices, topology, bounds, attributes });
         let (geometry, indices) = match (sharing, vertices_key) {
@@ -176,7 +184,10 @@ impl<'a> MeshReader<'a> {
         drawable.shared = SharedParts { geometry, indices, texture: shared_texture.flatten(), maps };
         let drawable = drawable.with_vertex_format(format);
         let drawable = if context.options.cluster_culling { drawable.with_cluster_culling() } else { drawable };
-        let edges = outline::edges(context, document, primitive, &data, index_lists)?;
+        let edges = match are_finite {
+            true => outline::edges(context, document, primitive, &data, index_lists)?,
+            false => None,
+        };
         let outline = edges.map(|edges| outline::lines(context, &edges, &drawable)).transpose()?.flatten();
         Ok(vec![(drawable, outline)])
     }

@@ -1,7 +1,9 @@
 //! [`Vertices`]: the vertices of a primitive, assembled from its attributes.
 
+use std::sync::Arc;
+
 use glam::Vec3;
-use gltf::accessor::Dimensions;
+use gltf::accessor::{DataType, Dimensions};
 use gltf::mesh::Semantic;
 
 use super::deform::{Deformation, Deformed};
@@ -10,7 +12,7 @@ use crate::fetch::IoError;
 use crate::formats::gltf::context::Context;
 use crate::formats::gltf::materials::TextureRef;
 use crate::math::Aabb;
-use crate::scene::{MeshVertex, VertexFormat};
+use crate::scene::{MeshVertex, Topology, VertexFormat};
 
 /// Assembled vertices.
 pub(super) struct Vertices {
@@ -20,6 +22,8 @@ pub(super) struct Vertices {
     /// The smallest format that holds the vertices.
     pub format: VertexFormat,
     pub has_normals: bool,
+    /// The vertices whose positions are not finite, by number; empty if there are none.
+    invalid: Vec<bool>,
 }
 
 impl Vertices {
@@ -41,7 +45,7 @@ impl Vertices {
         };
         let uv_set = texture.map_or(0, |texture| texture.uv_set);
         let uvs = data.attribute(&Semantic::TexCoords(uv_set), &[Dimensions::Vec2])?;
-        let colors = data.attribute(&Semantic::Colors(0), &[Dimensions::Vec3, Dimensions::Vec4])?;
+        let mut colors = data.attribute(&Semantic::Colors(0), &[Dimensions::Vec3, Dimensions::Vec4])?;
         let (mut min, mut max, mut is_finite) = (Vec3::INFINITY, Vec3::NEG_INFINITY, true);
         let mut list = vec![MeshVertex { color: [255; 4], ..MeshVertex::default() }; data.count];
         let mut set_position = |vertex: &mut MeshVertex, position: [f32; 3]| {
@@ -69,9 +73,20 @@ impl Vertices {
                 });
             }
         }
+        let mut invalid = Vec::new();
         if !is_finite {
-            let first = list.iter().position(|vertex| !Vec3::from_array(vertex.position).is_finite());
-            return Err(context.bad(format_args!("position {} is not finite", first.unwrap_or_default())));
+            invalid = list.iter().map(|vertex| !Vec3::from_array(vertex.position).is_finite()).collect();
+            let first = invalid.iter().position(|is_invalid| !is_invalid);
+            let first = first.ok_or_else(|| context.bad("no position is finite"))?;
+            let position = list[first].position;
+            (min, max) = (Vec3::from_array(position), Vec3::from_array(position));
+            for (vertex, is_invalid) in list.iter_mut().zip(&invalid) {
+                if *is_invalid {
+                    vertex.position = position;
+                }
+                let p = Vec3::from_array(vertex.position);
+                (min, max) = (min.min(p), max.max(p));
+            }
         }
         if texture.is_some() && uvs.is_none() {
             context.notes.add("glTF: texture without its coordinates");
@@ -83,7 +98,12 @@ impl Vertices {
                 list.iter_mut().for_each(|vertex| vertex.uv = map.transform_point2(vertex.uv.into()).into());
             }
         }
-        if let Some(colors) = &colors {
+        if let Some(colors) = &mut colors {
+            // The specification has no other integers. Some writers forget to say so (py3dtiles).
+            if !colors.normalized && matches!(colors.data_type, DataType::U8 | DataType::U16) {
+                context.notes.add("glTF: colours of integers that are not normalized");
+                colors.normalized = true;
+            }
             for (i, vertex) in list.iter_mut().enumerate() {
                 for k in 0..colors.components.min(4) {
                     vertex.color[k] = (colors.value(i, k).clamp(0.0, 1.0) * 255.0).round() as u8;
@@ -99,7 +119,39 @@ impl Vertices {
             true => Aabb::EMPTY,
             false => Aabb { min: min.as_dvec3(), max: max.as_dvec3() },
         };
-        Ok(Some(Self { list, bounds, format, has_normals: normals.is_some() }))
+        Ok(Some(Self { list, bounds, format, has_normals: normals.is_some(), invalid }))
+    }
+
+    /// Returns false if a position is not finite.
+    pub fn are_finite(&self) -> bool {
+        self.invalid.is_empty()
+    }
+
+    /// Leaves out the primitives of a list that have a vertex whose position is not finite, and notes them.
+    pub fn finite(
+        &self,
+        context: &Context<'_>,
+        topology: Topology,
+        indices: Arc<[u32]>,
+    ) -> Result<Arc<[u32]>, IoError> {
+        if self.are_finite() {
+            return Ok(indices);
+        }
+        let size = match topology {
+            Topology::Points => 1,
+            Topology::Lines => 2,
+            Topology::Triangles => 3,
+            Topology::Squares => 6,
+        };
+        let is_invalid = |index: &u32| self.invalid.get(*index as usize).is_none_or(|is_invalid| *is_invalid);
+        let is_finite = |primitive: &&[u32]| !primitive.iter().any(is_invalid);
+        let finite: Arc<[u32]> = indices.chunks_exact(size).filter(is_finite).flatten().copied().collect();
+        if finite.is_empty() {
+            return Err(context.bad("no primitive has finite positions"));
+        }
+        let left_out = (indices.len() - finite.len()) / size;
+        context.notes.add_count("glTF: triangle, line or point whose positions are not finite", left_out as u64);
+        Ok(finite)
     }
 }
 

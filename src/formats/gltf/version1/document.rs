@@ -40,8 +40,13 @@ pub(super) struct Document {
 }
 
 impl Document {
-    /// Makes the buffer that is the body of the binary glTF the first one, as glTF 2.0 requires.
-    pub fn use_binary_body(&mut self) {
+    /// Makes the buffer that is the body of the binary glTF the first one, as glTF 2.0 requires. Some writers do not list
+    /// it (assimp).
+    pub fn use_binary_body(&mut self, body_bytes: usize) {
+        let is_listed = |name: &&str| self.buffers.ids.get(&Text(Some((**name).to_owned()))).is_some();
+        if !BINARY_BODY.iter().any(is_listed) {
+            self.buffers.push(BINARY_BODY[0], Buffer { uri: None, byte_length: Some(body_bytes as u64) });
+        }
         let body = BINARY_BODY.iter().find(|name| self.buffers.ids.get(&Text(Some((**name).to_owned()))).is_some());
         if let Some(buffer) = body.and_then(|name| self.buffers.move_to_front(name)) {
             // Writers give it a URI without data.

@@ -38,11 +38,11 @@ pub(super) fn upgraded(
     limits: &Limits,
     notes: &Notes,
 ) -> Result<Option<Vec<u8>>, IoError> {
-    let Some(version) = old_version(chunks.json) else { return Ok(None) };
+    let Some(version) = old_version(&chunks.json) else { return Ok(None) };
     let invalid = |e: serde_json::Error| IoError::invalid(uri, format!("glTF {version} JSON: {e}"));
-    let mut document: Document = serde_json::from_slice(chunks.json).map_err(invalid)?;
-    if chunks.binary.is_some() {
-        document.use_binary_body();
+    let mut document: Document = serde_json::from_slice(&chunks.json).map_err(invalid)?;
+    if let Some(body) = chunks.binary {
+        document.use_binary_body(body.len());
     }
     let upgrade = Upgrade { uri, version: &version, document: &document, limits, notes };
     serde_json::to_vec(&upgrade.document()?).map(Some).map_err(invalid)

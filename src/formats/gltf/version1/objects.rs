@@ -30,6 +30,12 @@ impl<T> Objects<T> {
         self.list.is_empty()
     }
 
+    /// Adds an object with a new id.
+    pub fn push(&mut self, id: &str, object: T) {
+        self.ids.0.insert(id.to_owned(), self.list.len());
+        self.list.push(object);
+    }
+
     /// Moves an object to index 0. Returns it; `None` if it does not exist.
     pub fn move_to_front(&mut self, id: &str) -> Option<&mut T> {
         let at = *self.ids.0.get(id)?;

@@ -20,7 +20,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use glam::DAffine3;
+use glam::{DAffine3, Vec3};
 
 use self::edges::{Edges, difference_to_coarser_m};
 use self::levels::{LevelSums, extend, raise};
@@ -43,6 +43,9 @@ const MAX_POINTS: usize = 2_000;
 
 /// The number of vertices from which on threads share them: with fewer, their start takes longer.
 const MIN_SHARED_POINTS: usize = 8_000;
+
+/// The kind of problem of a content that its tile's volume does not contain.
+const OUTSIDE: &str = "content outside of the bounding volume of its tile";
 
 /// What a tile declares.
 pub(super) struct Declared {
@@ -173,8 +176,9 @@ impl Measuring {
         for name in textures {
             *level.measures.textures.entry(name).or_default() += 1;
         }
-        if let Some(surface) = surface {
-            self.add_surface(&mut tile, surface);
+        match surface {
+            Some(surface) => self.add_surface(&mut tile, surface),
+            None => self.check_vertices(&mut tile, node, set_from_node),
         }
         self.path.push(tile);
     }
@@ -187,6 +191,24 @@ impl Measuring {
         let Some((tile, set_from_tile)) = heights else { return Surface::of_meshes(node, set_from_node, self.frame) };
         let region = data.and_then(ReaderData::text).and_then(height::region);
         Surface::of_heights(&tile, &set_from_tile, region, self.frame)
+    }
+
+    /// Checks that a content without triangles, such as a point cloud, lies in the volume of its tile.
+    fn check_vertices(&mut self, tile: &mut OpenTile, node: &Node, set_from_node: &DAffine3) {
+        let Some(volume) = &tile.declared.volume else { return };
+        let mut largest_m: f64 = 0.0;
+        for (drawable, set_from_drawable) in drawables(node, set_from_node) {
+            let Geometry::Mesh(mesh) = &drawable.geometry else { continue };
+            for vertex in mesh.indices.iter().filter_map(|index| mesh.vertices.get(*index as usize)) {
+                let position = Vec3::from_array(vertex.position).as_dvec3();
+                let place = self.frame.place(set_from_drawable.transform_point3(position));
+                largest_m = largest_m.max(self.frame.outside_m(volume, &place));
+            }
+        }
+        if largest_m > SLACK_M + SLACK_SHARE * volume.bounding_sphere().radius_m {
+            tile.has_problem = true;
+            self.problem(OUTSIDE, &tile.declared.uri, format!("{largest_m:.3} m outside"));
+        }
     }
 
     fn add_surface(&mut self, tile: &mut OpenTile, surface: Surface) {
@@ -203,7 +225,7 @@ impl Measuring {
         };
         let mut found: Vec<(&'static str, String)> = Vec::new();
         if let Some(outside_m) = volume.as_ref().and_then(is_outside) {
-            found.push(("content outside of the bounding volume of its tile", format!("{outside_m:.3} m outside")));
+            found.push((OUTSIDE, format!("{outside_m:.3} m outside")));
         } else if let Some(above) = self.path.last()
             && let Some(outside_m) = above.declared.volume.as_ref().and_then(is_outside)
         {
