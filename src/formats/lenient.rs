@@ -363,7 +363,7 @@ mod tests {
 
     #[test]
     fn last_of_repeated_members_counts() {
-        #[derive(Debug, Deserialize)]
+        #[derive(Debug, serde::Deserialize)]
         struct Named {
             name: Text,
         }

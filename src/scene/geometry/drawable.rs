@@ -59,15 +59,12 @@ impl Drawable {
 
     /// Stores the vertex format that a reader found for the mesh.
     pub(crate) fn with_vertex_format(mut self, format: VertexFormat) -> Self {
-        if let Geometry::Mesh(mesh) = &self.geometry {
-            self.vertex_format = Some((Arc::downgrade(mesh), format));
-        }
+        self.set_vertex_format(format);
         self
     }
 
-    /// Stores the vertex format of a mesh. A decode thread checks all vertices here, so that the thread that uploads need not.
-    pub(crate) fn find_vertex_format(&mut self) {
-        let format = self.vertex_format();
+    /// Stores the vertex format of the mesh, so that the thread that uploads need not look at all vertices.
+    pub(crate) fn set_vertex_format(&mut self, format: VertexFormat) {
         if let Geometry::Mesh(mesh) = &self.geometry {
             self.vertex_format = Some((Arc::downgrade(mesh), format));
         }

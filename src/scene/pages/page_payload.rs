@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use crate::scene::features::DrawableFeatures;
-use crate::scene::geometry::{BlockFormats, Drawable, Geometry};
+use crate::scene::geometry::{BlockFormats, Drawable, Geometry, VertexFormat};
 use crate::scene::intersect::KdTree;
 use crate::scene::sharing::SharedContent;
 use crate::state::TextureObject;
@@ -108,7 +108,15 @@ impl PagePayload {
 
     /// Stores the vertex format of each drawable.
     pub fn find_vertex_formats(&mut self) {
-        self.drawables.iter_mut().for_each(Drawable::find_vertex_format);
+        // Instances of one mesh share its format.
+        let mut found: HashMap<usize, VertexFormat> = HashMap::new();
+        for drawable in &mut self.drawables {
+            if let Geometry::Mesh(mesh) = &drawable.geometry {
+                let mesh = Arc::as_ptr(mesh).addr();
+                let format = *found.entry(mesh).or_insert_with(|| drawable.vertex_format());
+                drawable.set_vertex_format(format);
+            }
+        }
     }
 
     /// Builds a k-d tree for each drawable, or takes the one of the shared content.

@@ -262,10 +262,10 @@ impl Axis {
         }
         let found = file.read_variable_unpacked(name).map_err(|e| e.to_string())?;
         let at: Vec<f64> = found.into_iter().collect();
-        let (first, last) = (at[0], at[at.len() - 1]);
-        let step = (last - first) / (at.len() - 1) as f64;
+        let (Some(first), Some(last)) = (at.first().copied(), at.last().copied()) else { return Err(missing()) };
+        let step = (last - first) / (count - 1) as f64;
         let is_even = |(k, at): (usize, &f64)| (at - (first + step * k as f64)).abs() <= TOLERANCE * step.abs();
-        if !(step.is_finite() && step != 0.0 && at.iter().enumerate().all(is_even)) {
+        if !(step.is_finite() && step != 0.0 && at.len() as u64 == count && at.iter().enumerate().all(is_even)) {
             return Err(format!("the coordinates of `{name}` are not evenly spaced; gdalwarp converts the file"));
         }
         let text = |name: &str| variable.attribute(name).and_then(|attribute| attribute.value.as_string());

@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use crate::files::{PLACE, heights, tiff_float32, tiff_int16};
+use crate::sources::rasters;
 use crate::sources::tile_archives::{pmtiles, terrarium};
 use crate::tiffs::{COMPRESSION, Image, PHOTOMETRIC, Values, tiff};
 use kit::fuzz::Parser;
@@ -90,6 +91,18 @@ fn elevation_exr() -> Parser {
 fn ascii_grid() -> Parser {
     let header = "ncols 3\nnrows 2\nxllcorner 7\nyllcorner 45\ncellsize 0.5\nNODATA_value -1\n";
     raster("ascii-grid", "a.asc", false, &[format!("{header}1 2 3\n4 -1 6.5\n").into_bytes()])
+}
+
+fn netcdf() -> Parser {
+    raster("netcdf", "a.nc", false, &rasters::netcdf::files())
+}
+
+fn erdas() -> Parser {
+    raster("erdas", "a.img", false, &[rasters::erdas::usual_file()])
+}
+
+fn surfer() -> Parser {
+    raster("surfer", "a.grd", false, &rasters::grids::surfer())
 }
 
 fn points() -> Parser {
@@ -302,6 +315,9 @@ kit::parsers! {
     elevation_png,
     elevation_exr,
     ascii_grid,
+    netcdf,
+    erdas,
+    surfer,
     points,
     dted,
     plain_samples,

@@ -12,6 +12,6 @@ mod large;
 mod mbtiles;
 mod nothing_lost;
 mod proj_points;
-mod rasters;
+pub mod rasters;
 mod servers;
 pub mod tile_archives;

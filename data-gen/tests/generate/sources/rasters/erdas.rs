@@ -82,6 +82,11 @@ fn file(system: &[u8]) -> Vec<u8> {
     tree.0
 }
 
+/// Returns a file in degrees.
+pub fn usual_file() -> Vec<u8> {
+    file(&projection(0, 0, [0.0; 15]))
+}
+
 /// Returns the parameters of a projection.
 fn projection(number: u32, zone: u32, parameters: [f64; 15]) -> Vec<u8> {
     let sphere = [longs(&[1, 0]), text("WGS 84"), doubles(&[6_378_137.0, 6_356_752.3])].concat();
@@ -97,7 +102,7 @@ fn at_pixel(raster: &Raster, column: f64, row: f64) -> f32 {
 fn blocks_of_each_kind_are_decoded() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("ned.img");
-    let whole = file(&projection(0, 0, [0.0; 15]));
+    let whole = usual_file();
     fs::write(&path, &whole).unwrap();
     let raster = Raster::read(&path).unwrap();
     assert_eq!((raster.size(), raster.range_m().unwrap()), ([7, 6], [-5.0, 300.0]));

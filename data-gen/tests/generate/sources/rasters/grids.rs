@@ -10,7 +10,7 @@ use super::{at, check_bounds, error, usual};
 const SAMPLES: [f64; 6] = [1.0, 2.0, 3.0, 11.5, 1.701_41e38, 13.0];
 
 /// Returns the bytes of grids of Surfer: text, version 6 and version 7.
-fn surfer() -> [Vec<u8>; 3] {
+pub fn surfer() -> [Vec<u8>; 3] {
     let text = format!("DSAA\r\n3 2\r\n7 8\r\n45 45.25\r\n1 13\r\n{}\r\n", SAMPLES.map(|s| s.to_string()).join(" "));
     let doubles = |numbers: &[f64]| numbers.iter().flat_map(|n| n.to_le_bytes()).collect::<Vec<u8>>();
     let mut six = b"DSBB".to_vec();

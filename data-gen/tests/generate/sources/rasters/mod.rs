@@ -1,8 +1,8 @@
 //! Formats of other programs: netCDF, Erdas Imagine, grids of Surfer and SAGA.
 
-mod erdas;
-mod grids;
-mod netcdf;
+pub mod erdas;
+pub mod grids;
+pub mod netcdf;
 mod places;
 
 use std::path::Path;

@@ -38,6 +38,10 @@ impl Grid<'_> {
     }
 
     fn write(&self, path: &Path, format: NcWriteFormat) {
+        fs::write(path, self.bytes(format)).unwrap();
+    }
+
+    fn bytes(&self, format: NcWriteFormat) -> Vec<u8> {
         let mut file = NcFileBuilder::new();
         let mut axes = Vec::new();
         for (name, coordinates, unit) in [&self.down, &self.across] {
@@ -69,9 +73,14 @@ impl Grid<'_> {
             file.set_variable_deflate(variable, Some(4), true).unwrap();
         }
         file.write_variable(variable, &self.values).unwrap();
-        let (_, bytes) = file.to_vec(NcWriteOptions { format }).unwrap();
-        fs::write(path, bytes).unwrap();
+        file.to_vec(NcWriteOptions { format }).unwrap().1
     }
+}
+
+/// Returns a file of each kind, for fuzzing.
+pub fn files() -> Vec<Vec<u8>> {
+    let all = [NcWriteFormat::Classic, NcWriteFormat::Offset64, NcWriteFormat::Nc4];
+    all.map(|format| Grid::usual().bytes(format)).into()
 }
 
 #[test]
