@@ -65,7 +65,7 @@ pub struct GenArgs {
     /// Value of elevation samples without data, beside the one that a file declares
     #[arg(long, value_name = "V", allow_negative_numbers = true)]
     pub nodata: Option<f64>,
-    /// Channel with heights: a name in EXR files, after PART: if there are several parts, and in netCDF; a number from 1 in GeoTIFF
+    /// Channel with heights: a name in EXR files, after PART: if there are several parts, of a variable in netCDF; a number from 1 in GeoTIFF and Erdas
     #[arg(long, value_name = "NAME")]
     pub channel: Option<String>,
     /// Meaning of the colours of PNGs

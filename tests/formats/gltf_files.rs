@@ -262,7 +262,7 @@ fn text_in_another_encoding_and_null_among_numbers_are_read() {
 #[test]
 fn colours_of_integers_are_normalized_whatever_they_say() {
     for (component, bytes) in
-        [(UNSIGNED_BYTE, vec![255, 51, 0].repeat(3)), (UNSIGNED_SHORT, shorts(&[65535, 13107, 0].repeat(3)))]
+        [(UNSIGNED_BYTE, [255, 51, 0].repeat(3)), (UNSIGNED_SHORT, shorts(&[65535, 13107, 0].repeat(3)))]
     {
         for normalized in [true, false] {
             let gltf = triangle(|gltf, primitive| {

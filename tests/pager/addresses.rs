@@ -244,7 +244,7 @@ fn sets_reach_no_other_local_server_in_any_way() {
         assert_eq!(stranger.count(), 0, "{way}");
         let errors = refused.pager.errors();
         // Contents are drawn without these files, which are noted.
-        let is_drawn = matches!(way, "schema" | "buffer" | "image");
+        let is_drawn = matches!(way, "schema" | "image");
         let note = format!("a file on {}, which --allow-host allows", stranger.host());
         assert_eq!(refused.pager.ignored().count(&note), u64::from(is_drawn), "{way}");
         assert!(verified.failed > 0 || verified.ignored.contains_key(&note), "{way}: {verified:?}");

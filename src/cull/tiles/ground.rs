@@ -13,9 +13,11 @@ use crate::scene::{GroundTiles, LodRanges, Readiness, TileRecord, flag};
 /// Distances to the ground are at least this share of the eye's height above it. The rest is for the difference between the
 /// height along the line to the earth's centre and that along the normal, and for rounding.
 const HEIGHT_SHARE: f64 = 0.999;
-/// Tiles with a larger radius are tested by the parts of their surface, metres. They have 0.03 radians and more.
+/// Tiles with a larger radius are tested by the parts of their surface, metres. Those are at least 0.03 radians wide or high, so that
+/// the page knows their regions, and `surface_parts.rs` limits the parts that are looked at.
 const MIN_LARGE_M: f32 = 95_000.0;
-/// Tiles with a larger radius are tested by those below them, metres: those of the first four levels, less than 45 in sight.
+/// Tiles with a larger radius are tested by those below them, metres. These are the tiles of the first four levels; a view has less
+/// than 45 of them.
 const MIN_DIVIDED_M: f32 = 800_000.0;
 
 /// Returns ranges that count no tile of a globe's surface as nearer than the ground below the eye. The box around a large tile

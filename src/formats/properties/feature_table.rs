@@ -63,8 +63,11 @@ impl Global<[u8; 4]> {
     }
 }
 
+/// Returns the bytes that store a number in a column.
+type Store = fn(f64) -> Number;
+
 /// The columns of all feature tables, and how a number of each is stored.
-const COLUMNS: [(&str, fn(f64) -> Number); 14] = [
+const COLUMNS: [(&str, Store); 14] = [
     ("BATCH_ID", u32_number),
     ("NORMAL", f32_number),
     ("NORMAL_OCT16P", u8_number),

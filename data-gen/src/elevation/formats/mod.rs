@@ -1,5 +1,5 @@
-//! Readers of elevation files: GeoTIFF, HGT, DTED, PNG, EXR, netCDF, Erdas Imagine, ASCII grids, points in text files, plain samples with a header,
-//! virtual rasters, PMTiles and folders of web tiles.
+//! Readers of elevation files: GeoTIFF, HGT, DTED, PNG, EXR, netCDF, Erdas Imagine, grids of Surfer, ASCII grids, points in text
+//! files, plain samples with a header, virtual rasters, PMTiles, MBTiles and folders of web tiles.
 
 mod ascii_grid;
 mod dted;
@@ -49,7 +49,7 @@ pub struct RasterOptions {
     /// The reference system of files that do not name their own.
     pub crs: Option<Crs>,
     /// The channel with heights: a name in EXR files (after the part's name and a colon, if the file has several parts), a
-    /// number from 1 in GeoTIFF.
+    /// variable in netCDF, a number from 1 in GeoTIFF and Erdas Imagine.
     pub channel: Option<String>,
     /// A value of samples without data, beside the one that a file declares.
     pub nodata: Option<f64>,
