@@ -14,7 +14,8 @@ use crate::scene::{SlotInfo, SlotState};
 /// The number of new requests that an update accepts, more than threads can begin in a frame. Culls list the others again in
 /// the next frame.
 const MAX_NEW: usize = 1024;
-/// Of so many times the requests that are accepted an update looks up the slots, whose options change the priorities of culls.
+/// An update looks up the slots of this many new requests for each that it accepts: the options of a slot change the priority that
+/// its cull gave it.
 const CANDIDATES_PER_NEW: usize = 2;
 
 /// A slot that a cull met within this many frames is seen.

@@ -9,8 +9,8 @@ use super::{Basin, FAR_M, Ground, Scratch, add_noise, part_seed, smooth, wide};
 
 /// Depth of the sea from which on rivers have no effect.
 const SEA_M: f32 = -40.0;
-/// Water that is higher over the ground than this, and so much more for each metre from the bank, has lost its bed. The beds
-/// that rivers cut are at most a third as deep.
+/// A river whose water is higher over the ground than the first, plus the second for each metre from the bank, has lost its bed.
+/// The beds that rivers cut are at most a third as deep.
 const MAX_DEPTH_M: f32 = 3.0;
 const MAX_DEPTH_PER_M: f32 = 0.2;
 

@@ -8,7 +8,7 @@ use terrane_data_gen::{Raster, RasterOptions};
 
 use super::{at, check_bounds, error, usual};
 
-/// Is a grid of 4 x 3 places, whose first axis goes down.
+/// A grid of 4 x 3 samples, whose first axis goes down.
 struct Grid<'a> {
     /// The axes: their names, coordinates and units.
     down: (&'a str, Vec<f64>, &'a str),
