@@ -46,14 +46,6 @@ impl CompileBudget {
     }
 }
 
-impl CompileBudget {
-    /// Returns the budget of a frame's own uploads, if the time between the last two frames was `between`: the least if uploads have
-    /// more time there. They continue there right after the frame, and are merged before the next one all the same.
-    pub(crate) fn besides_time_between(self, between: Duration) -> Self {
-        if between > self.time.saturating_mul(2) { Self { time: Duration::ZERO, bytes: 0 } } else { self }
-    }
-}
-
 /// Returns the longest duration if `seconds` is too large for one.
 fn duration(seconds: f64) -> Duration {
     Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)
@@ -110,16 +102,6 @@ mod tests {
         let none = CompileBudget { time: Duration::ZERO, bytes: 0 };
         assert_eq!(none.beside(&(200 * MS..=200 * MS), &pace), none);
         assert_eq!(CompileBudget::UNLIMITED.beside(&(200 * MS..=200 * MS), &generous).time, 1000 * MS);
-    }
-
-    /// Regression: a frame uploaded what had arrived in its update, although there was time between frames.
-    #[test]
-    fn uploads_are_left_to_a_longer_time_between_frames() {
-        let budget = CompileBudget { time: 3 * MS, bytes: 4000 };
-        let least = CompileBudget { time: Duration::ZERO, bytes: 0 };
-        assert_eq!([0, 5, 6].map(|ms| budget.besides_time_between(ms * MS)), [budget; 3]);
-        assert_eq!(budget.besides_time_between(7 * MS), least);
-        assert_eq!(CompileBudget::UNLIMITED.besides_time_between(1000 * MS), CompileBudget::UNLIMITED);
     }
 
     #[test]

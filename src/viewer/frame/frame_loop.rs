@@ -55,8 +55,6 @@ pub(in crate::viewer) struct FrameLoop {
     pub(in crate::viewer) results: DrawResults,
     pub(super) pictures: PictureRequests,
     pub(super) rehearsals: EnvironmentRehearsals,
-    /// The time for uploads between the last frame and this one.
-    between: Duration,
 }
 
 /// A frame between its event phase and rendering.
@@ -102,7 +100,6 @@ impl FrameLoop {
             results: DrawResults::new(config.history_frames),
             pictures: PictureRequests::default(),
             rehearsals: EnvironmentRehearsals::default(),
-            between: Duration::ZERO,
             config,
         })
     }
@@ -306,7 +303,6 @@ impl FrameLoop {
         mut rehearsals: Rehearsals,
     ) -> Result<(), ViewerError> {
         let job = self.job();
-        self.between = Duration::ZERO;
         #[cfg(feature = "window")]
         let mut overlays = std::mem::take(&mut self.overlays);
         let FrameStamp { frame, simulation_time_s, .. } = self.stamp();
@@ -367,13 +363,10 @@ impl FrameLoop {
     /// Returns the job of a context for the current frame: to draw what its cameras cull.
     pub(super) fn job(&self) -> FrameJob {
         let busy = self.results.history().busy(self.rendering.model());
-        let budget = self.config.compile_budget.beside(&busy, &self.config.compile_pace);
-        // Only a pager that has something under way uploads between frames.
-        let between = if self.pagers.iter().any(PagerGroup::is_paging) { self.between } else { Duration::ZERO };
         FrameJob {
             frame: self.stamp().frame,
             clock: self.timer.shader_clock(),
-            budget: budget.besides_time_between(between),
+            budget: self.config.compile_budget.beside(&busy, &self.config.compile_pace),
             present: true,
             ..FrameJob::default()
         }
@@ -382,7 +375,6 @@ impl FrameLoop {
     /// Merges and uploads arrived pages until shortly before `deadline`, then sleeps until it.
     pub(in crate::viewer) fn work_until(&mut self, views: &ViewList, scenes: &mut SceneList, deadline: Instant) {
         let _span = trace::span("between frames");
-        self.between += deadline.saturating_duration_since(Instant::now());
         // A pager that waits for its server leaves its time to the others.
         while self.pagers.iter().filter(|group| group.is_paging()).count() > 1 && Instant::now() < deadline {
             let begun = Instant::now();
