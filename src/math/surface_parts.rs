@@ -1,4 +1,4 @@
-//! [`SurfacePart`]: a part of a body's surface, which is divided as far as a test needs it. Arithmetic.
+//! [`SurfacePart`]: a part of a body's surface, which is divided as far as a test needs it. Culling threads.
 
 use glam::DVec3;
 

@@ -210,7 +210,7 @@ mod tests {
             let small = Limits { max_image_bytes: 31, ..Limits::default() };
             assert!(matches!(decode_file("a", &file, &small), Err(IoError::TooLarge { .. })), "{format:?}");
         }
-        // Of an animation the first picture is shown; texels that are transparent stay so.
+        // The first frame of an animation is decoded.
         let frame = |alpha| image::Frame::new(image::RgbaImage::from_pixel(4, 2, image::Rgba([9, 8, 7, alpha])));
         let mut file = Vec::new();
         image::codecs::gif::GifEncoder::new(&mut file).encode_frames([frame(255), frame(0)]).unwrap();

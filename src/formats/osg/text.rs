@@ -49,7 +49,7 @@ pub(super) const SCREEN: u32 = 6;
 pub(super) const SIZE_MODES: Names =
     &[("OBJECT_COORDS", 0), ("SCREEN_COORDS", 1), ("OBJECT_COORDS_WITH_MAXIMUM_SCREEN_SIZE_CAPPED_BY_FONT_HEIGHT", 2)];
 pub(super) const LAYOUT_NAMES: Names = &[("LEFT_TO_RIGHT", 0), ("RIGHT_TO_LEFT", 1), ("VERTICAL", 2)];
-/// What can be drawn behind letters: shadows by the direction in which they lie, and an outline.
+/// The backdrops that can be drawn behind letters: a shadow in each direction, and an outline.
 pub(super) const BACKDROPS: Names = &[
     ("DROP_SHADOW_BOTTOM_RIGHT", 0),
     ("DROP_SHADOW_CENTER_RIGHT", 1),
@@ -94,7 +94,7 @@ pub(super) struct TextObject {
     pub backdrop: Backdrop,
 }
 
-/// What is drawn behind the letters of a text.
+/// The shadow or the outline behind the letters of a text.
 #[derive(Debug)]
 pub(super) struct Backdrop {
     /// A number of [`BACKDROPS`].

@@ -326,7 +326,7 @@ mod tests {
     /// Regression: while stale requests were left, one in eight slots went to them, as the oldest.
     #[test]
     fn slots_for_old_requests_go_to_no_stale_ones() {
-        /// What threads take in a frame.
+        /// The number of jobs that threads take in a frame.
         const TAKEN: usize = 16;
         let mut run = Run::new(false);
         run.fill(0);

@@ -161,7 +161,7 @@ fn negative_errors_and_repeated_members_are_read() {
     assert_eq!(ignored.count("geometricError that is negative, and taken as 0"), 2);
 }
 
-/// As browsers decode text. Programs on Windows write names in the encoding of their country.
+/// Browsers replace characters that are not UTF-8. Programs on Windows write names in the encoding of their country.
 #[test]
 fn text_in_another_encoding_is_read() {
     let text = format!(

@@ -328,7 +328,7 @@ fn nodata_of(content: &[u8]) -> Option<f64> {
     is_one.then(|| sample.at(fields.0, 0))
 }
 
-/// Reads the place of the north-western pixel and the size of pixels. The error is the reason.
+/// Reads the position of the north-western pixel and the size of pixels. The error is the reason.
 fn map_info(content: &[u8]) -> Result<GeoTransform, String> {
     let mut fields = Fields(content);
     fields.text()?;

@@ -1,5 +1,7 @@
 //! Readers of elevation files: GeoTIFF, HGT, DTED, PNG, EXR, netCDF, Erdas Imagine, grids of Surfer, ASCII grids, points in text
 //! files, plain samples with a header, virtual rasters, PMTiles, MBTiles and folders of web tiles.
+//!
+//! Files are opened before a run begins; the threads of the run read blocks of them, several at the same time.
 
 mod ascii_grid;
 mod dted;

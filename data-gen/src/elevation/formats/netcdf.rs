@@ -25,7 +25,7 @@ const MAX_ROWS: usize = 64;
 /// The largest chunk in bytes, and the bytes of decoded chunks that a file keeps.
 const MAX_CHUNK_BYTES: usize = 256 << 20;
 const CHUNK_CACHE_BYTES: usize = 16 << 20;
-/// The largest distance of a coordinate from its place in an even row, in cells.
+/// The largest distance of a coordinate from an evenly spaced one, in cells.
 const TOLERANCE: f64 = 0.05;
 /// The values of samples that were never written, in files that name no other.
 const FILL_I16: f64 = -32767.0;
@@ -35,7 +35,7 @@ const FILL_I8: f64 = -127.0;
 #[derive(Clone)]
 struct Heights {
     name: String,
-    /// The number of axes before those of the grid, each of one place.
+    /// The number of axes before those of the grid. Each has one coordinate, such as a single time.
     before: usize,
     size: [usize; 2],
     /// The value of samples that were never written.
@@ -216,7 +216,7 @@ fn is_number(kind: &NcType) -> bool {
     kind.is_primitive() && !matches!(kind, NcType::Char | NcType::String)
 }
 
-/// Returns true if a variable has numbers on a grid whose two axes have coordinates, and one place on each other axis.
+/// Returns true if a variable has numbers on a grid whose two axes have coordinates, and one value along each other axis.
 fn is_grid(file: &NcFile, variable: &NcVariable) -> bool {
     let has_coordinates = |name: &str| file.coordinate_variable(name).is_ok_and(|found| is_number(found.dtype()));
     match variable.dimensions() {
@@ -242,7 +242,7 @@ fn system_of(file: &NcFile, variable: &NcVariable) -> Option<String> {
 
 /// The coordinates of an axis.
 struct Axis {
-    /// The coordinate of the first place, and the distance from one to the next.
+    /// The first coordinate, and the distance from one to the next.
     first: f64,
     step: f64,
     unit: String,

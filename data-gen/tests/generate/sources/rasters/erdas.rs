@@ -52,7 +52,7 @@ fn file(system: &[u8]) -> Vec<u8> {
     let plain: Vec<u8> = (0..16i16).flat_map(|k| (100 + k).to_le_bytes()).collect();
     // 12 times 207, then 4 times 300.
     let runs = packed(200, 2, 15, 8, &[12, 4, 7, 100]);
-    // Of two bits: 0, 1, 2, 3 and so on, above -5 in 16 bits.
+    // Each sample has two bits: 0, 1, 2, 3 and so on are added to the lowest value, -5 in 16 bits.
     let few = packed(65_531, u32::MAX, 0, 2, &[0b1110_0100; 4]);
     let mut tree = Tree(b"EHFA_HEADER_TAG\0".to_vec());
     tree.add(&[0; 22]);
