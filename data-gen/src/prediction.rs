@@ -10,9 +10,9 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::opened::Opened;
-use crate::output::{Builder, Journal, TerrainSet, spread, tiles_and_bytes};
+use crate::output::{Builder, CORNER_ERRORS_JSON_BYTES, Journal, TerrainSet, spread, tiles_and_bytes};
 use crate::pyramid::{Grid, Layer, Plan, TileKey, tiles_with_data};
-use crate::{GenArgs, GenError, Voids, WorldSet};
+use crate::{ContentKind, GenArgs, GenError, Voids, WorldSet};
 
 /// Levels of the subtrees that are made as a sample.
 const SAMPLE_LEVELS: u32 = 3;
@@ -208,7 +208,8 @@ fn sample(args: &GenArgs, opened: &Opened<'_>, blocks: &[TileKey], places: usize
         };
     }
     let made: u64 = levels.iter().map(|[_, made, _]| made).sum();
-    Ok(Sample { levels, start, per_block, writing, json_bytes: json_bytes / made.max(1) })
+    let corners = if args.content == ContentKind::Height { CORNER_ERRORS_JSON_BYTES } else { 0 };
+    Ok(Sample { levels, start, per_block, writing, json_bytes: json_bytes / made.max(1) + corners })
 }
 
 /// Returns the number of tiles in the folder of a level, and the bytes of their files.
@@ -289,7 +290,8 @@ pub(crate) fn predict_world(set: &WorldSet, out: &Path) -> Result<Prediction, Ge
             set.tile(TileKey { y: if key.level > 0 { key.y ^ 1 } else { 0 }, ..*key })?;
             let seconds = begin.elapsed().as_secs_f64();
             let bytes = tile.files.iter().map(|(_, content)| content.len()).sum::<usize>();
-            Ok(((bytes + set.tileset(*key).map_or(0, |json| json.len())) as u64, seconds))
+            let corners = if set.has_meshes() { 0 } else { CORNER_ERRORS_JSON_BYTES };
+            Ok(((bytes + set.tileset(*key).map_or(0, |json| json.len())) as u64 + corners, seconds))
         })
         .collect();
     let made = made?;

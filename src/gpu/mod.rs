@@ -36,6 +36,4 @@ pub(crate) use pools::{
     texture_format, view_dimension,
 };
 #[cfg(test)]
-pub(crate) use pools::{
-    HEADER_VECTORS as TABLE_HEADER_VECTORS, LINEAR_HARMONICS, LayeredRecord, MORPH_LEVELS, SurfaceRecord,
-};
+pub(crate) use pools::{HEADER_VECTORS as TABLE_HEADER_VECTORS, LINEAR_HARMONICS, LayeredRecord, SurfaceRecord};

@@ -43,8 +43,9 @@ pub use features::{
 pub use geometry::Font;
 pub use geometry::{
     AlphaMode, AttributeFormat, BlockFormats, Clearcoat, CustomGeometry, Dielectric, Drawable, Geometry, HeightTile,
-    MAX_ATTRIBUTES, MapParts, Material, Mesh, MeshVertex, MetallicRoughness, NormalCone, OverlayMode, PrimitiveMode,
-    Sampling, SecondUv, Splat, SplatHarmonics, Splats, TexelFormat, Texture, Topology, VertexAttributes, VertexFormat,
+    MAX_ATTRIBUTES, MORPH_LEVELS, MapParts, Material, Mesh, MeshVertex, MetallicRoughness, NormalCone, OverlayMode,
+    PrimitiveMode, Sampling, SecondUv, Splat, SplatHarmonics, Splats, TexelFormat, Texture, Topology, VertexAttributes,
+    VertexFormat,
 };
 pub use graph::Scene;
 pub use id::{NodeId, PageId, SceneNumber};

@@ -8,6 +8,7 @@ use kit::frames::{MAGENTA, count, srgb};
 use kit::rig::{camera, plain, rig, unit_camera};
 use kit::shapes::{mesh, quad, with_mips};
 use kit::terrain::Terrain;
+use terrane::cull::CullCamera;
 use terrane::scene::{
     AlphaMode, Billboard, BillboardMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeKind, Sampling,
     Texture, Topology,
@@ -302,7 +303,20 @@ fn terrain(textured: bool) -> Terrain {
 /// between the tiles, also without skirts, and also where no back of a far slope could hide a crack.
 #[test]
 fn no_background_is_visible_between_levels() {
-    let Some(mut rig) = rig("no_background_is_visible_between_levels") else { return };
+    background_between_tiles("no_background_is_visible_between_levels", &Terrain::tiles_for);
+}
+
+/// The same where each tile has its own error, so that tiles of several levels lie beside each other at any distance.
+#[test]
+fn no_background_is_visible_between_tiles_with_their_own_errors() {
+    background_between_tiles(
+        "no_background_is_visible_between_tiles_with_their_own_errors",
+        &Terrain::uneven_tiles_for,
+    );
+}
+
+fn background_between_tiles(test: &'static str, tiles: &dyn Fn(&Terrain, &CullCamera, DVec3, u32) -> Node) {
+    let Some(mut rig) = rig(test) else { return };
     let terrain = terrain(false);
     let front_only =
         StateSet::default().with(Attribute::CullFace(CullFace::Back)).with_mode(Mode::CullFace, StateValue::ON);
@@ -319,7 +333,7 @@ fn no_background_is_visible_between_levels() {
             let up = terrain.up(eye_u, line);
             let mut camera = camera([256, 256], eye, terrain.world(0.5, line, 0.0), up);
             camera.settings.max_sse_px = 4.0;
-            let mut root = terrain.tiles_for(&camera, eye, 4);
+            let mut root = tiles(&terrain, &camera, eye, 4);
             if !skirts {
                 without_skirts(&mut root);
                 root = root.with_state_set(front_only.clone());

@@ -22,7 +22,7 @@ use crate::{ContentKind, GenArgs, GenError, Prediction, PredictionFormat, Shard,
 use crate::{prediction, shards};
 
 /// The folder of the default set. The number changes with the content of the set, so that old sets are not used.
-const DEFAULT_SET: &str = "default-set-3";
+const DEFAULT_SET: &str = "default-set-4";
 /// The number of places where a run that may not fit on the disk makes a sample.
 const SPACE_PLACES: usize = 2;
 

@@ -4,13 +4,14 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
+use super::corner_errors::{BlockErrors, TileErrors, is_round};
 use super::implicit::{self, Subtrees};
 use super::journal::Journal;
 use super::options::Tiling;
 use super::set_files::write_whole;
 use super::tile_set::{Written, write_tiles};
 use super::tree::{Tree, external_name, external_tileset, trunk_tileset};
-use crate::args::{Color, GenArgs};
+use crate::args::{Color, ContentKind, GenArgs};
 use crate::color::{Imagery, Painter};
 use crate::pyramid::{Below, Block, Coverage, Grid, Layer, Plan, Record, TileKey, Totals, tiles_with_data};
 use crate::{GenError, Progress, Voids};
@@ -107,16 +108,39 @@ impl<'a> Builder<'a> {
         }
         let (bytes, tree) = self.write(&block)?;
         totals.add(&block.totals(bytes));
-        let text = tree.tileset(&totals);
+        let mut root = tree.root();
         let below = match self.is_implicit() {
             true => {
                 let shape = (self.grid.levels, tree.contents().len());
-                Subtrees::new(self.plan, &self.journal, self.folder, shape, tree.entries()).write(TileKey::ROOT)?
+                let is_round = self.has_heights().then(|| is_round(&self.grid.extent));
+                let (plan, folder) = (self.plan, self.folder);
+                Subtrees::new(plan, &self.journal, folder, shape, is_round, tree.entries()).write(TileKey::ROOT)?
             }
-            false => self.write_external(&totals, blocks.iter().flatten().filter(|key| key.level > 0))?,
+            false => {
+                let errors = BlockErrors::new(self.plan, &self.journal, Some(&root));
+                let errors = self.tile_errors(&errors);
+                if self.has_heights() {
+                    errors.describe(&mut root)?;
+                }
+                self.write_external(&totals, blocks.iter().flatten().filter(|key| key.level > 0), &errors)?
+            }
         };
+        let text = tree.tileset(&totals, root);
         totals.bytes += below + write_whole(&self.folder.join("tileset.json"), text.as_bytes())?;
         Ok(totals)
+    }
+
+    fn has_heights(&self) -> bool {
+        self.args.content == ContentKind::Height
+    }
+
+    /// Returns the errors of all tiles of the set.
+    fn tile_errors<'b>(
+        &self,
+        blocks: &'b BlockErrors<'_>,
+    ) -> TileErrors<impl Fn(TileKey) -> Result<f64, GenError> + Sync + use<'b>> {
+        let (first_level, is_round) = (self.plan.first_level(), is_round(&self.grid.extent));
+        TileErrors { error_m: |key| blocks.error_m(key), first_level, is_round }
     }
 
     fn is_implicit(&self) -> bool {
@@ -138,7 +162,8 @@ impl<'a> Builder<'a> {
             return Err(self.without_data());
         }
         let text = trunk_tileset(self.args, &self.grid.ellipsoid, &totals, &below);
-        let bytes = self.write_external(&totals, blocks.iter().flatten())?;
+        let errors = BlockErrors::new(self.plan, &self.journal, None);
+        let bytes = self.write_external(&totals, blocks.iter().flatten(), &self.tile_errors(&errors))?;
         totals.bytes += bytes + write_whole(&self.folder.join("tileset.json"), text.as_bytes())?;
         Ok(totals)
     }
@@ -149,11 +174,23 @@ impl<'a> Builder<'a> {
     }
 
     /// Writes the external tilesets of blocks, and returns their bytes.
-    fn write_external<'k>(&self, totals: &Totals, blocks: impl Iterator<Item = &'k TileKey>) -> Result<u64, GenError> {
+    fn write_external<'k>(
+        &self,
+        totals: &Totals,
+        blocks: impl Iterator<Item = &'k TileKey>,
+        errors: &TileErrors<impl Fn(TileKey) -> Result<f64, GenError> + Sync>,
+    ) -> Result<u64, GenError> {
         let external = blocks.collect::<Vec<_>>().into_par_iter().map(|key| {
             let record = self.journal.load(*key)?.filter(|record| record.facts.coverage != Coverage::None);
             let Some(record) = record else { return Ok(0) };
-            let text = external_tileset(self.args, totals, *key, &record, &record.tree);
+            let (mut tree, mut above) = (record.tree, None);
+            if self.has_heights() {
+                let damaged = |_| GenError::invalid(self.folder, format!("the journal of block {key:?} is damaged"));
+                let mut tile = serde_json::from_str(&tree).map_err(damaged)?;
+                errors.describe(&mut tile)?;
+                (tree, above) = (tile.to_string(), Some(errors.above(*key)?));
+            }
+            let text = external_tileset(self.args, totals, *key, record.geometric_error_m, &tree, above.as_deref());
             let path = self.folder.join(external_name(*key));
             if let Some(folder) = path.parent() {
                 // The tiles of packed sets lie in other folders.

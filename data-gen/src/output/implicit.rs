@@ -4,6 +4,7 @@
 //! Blocks leave a list of their tiles in the journal. Subtrees begin at other levels than blocks, so each is put together from
 //! the lists of several blocks.
 
+use std::cell::RefCell;
 use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::Arc;
@@ -11,6 +12,7 @@ use std::sync::Arc;
 use lru::LruCache;
 use serde_json::{Value, json};
 
+use super::corner_errors::{CornerErrors, TileErrors};
 use super::journal::Journal;
 use super::set_files::write_whole;
 use crate::GenError;
@@ -32,6 +34,8 @@ pub(crate) struct Entry {
     pub geometric_error_m: f64,
     /// The lowest and the highest height of its volume in metres.
     pub heights_m: [f64; 2],
+    /// The errors at its corners, which height tiles have. Lists of blocks lack them.
+    pub corner_errors_m: Option<CornerErrors>,
 }
 
 /// Returns the list of a block as text.
@@ -52,7 +56,8 @@ fn entries(text: &str) -> Option<Vec<Entry>> {
             let [level, x, y, contents] = [level, x, y, contents].map(|c| u32::try_from(c).ok());
             let [geometric_error_m, low_m, high_m] = [error, low, high].map(f64::from_bits);
             let key = TileKey { level: level?, x: x?, y: y? };
-            Some(Entry { key, contents: contents?, geometric_error_m, heights_m: [low_m, high_m] })
+            let heights_m = [low_m, high_m];
+            Some(Entry { key, contents: contents?, geometric_error_m, heights_m, corner_errors_m: None })
         })
         .collect::<Option<Vec<_>>>()?;
     entries.sort_by_key(|entry| entry.key);
@@ -67,9 +72,11 @@ pub(super) struct Subtrees<'a> {
     levels: u32,
     /// The number of contents that a tile may have.
     contents: usize,
+    /// Whether a set of height tiles goes around the globe; `None` for other sets.
+    is_round: Option<bool>,
     /// The tiles of the root's block.
     root: Arc<Vec<Entry>>,
-    lists: LruCache<TileKey, Arc<Vec<Entry>>>,
+    lists: RefCell<LruCache<TileKey, Arc<Vec<Entry>>>>,
 }
 
 impl<'a> Subtrees<'a> {
@@ -78,20 +85,22 @@ impl<'a> Subtrees<'a> {
         journal: &'a Journal,
         folder: &'a Path,
         (levels, contents): (u32, usize),
+        is_round: Option<bool>,
         mut root: Vec<Entry>,
     ) -> Self {
         root.sort_by_key(|entry| entry.key);
         let capacity = NonZeroUsize::new(MAX_LISTS).unwrap_or(NonZeroUsize::MIN);
-        Self { plan, journal, folder, levels, contents, root: Arc::new(root), lists: LruCache::new(capacity) }
+        let lists = RefCell::new(LruCache::new(capacity));
+        Self { plan, journal, folder, levels, contents, is_round, root: Arc::new(root), lists }
     }
 
     /// Writes the file of a subtree and those below it, and returns their size in bytes.
-    pub fn write(&mut self, root: TileKey) -> Result<u64, GenError> {
+    pub fn write(&self, root: TileKey) -> Result<u64, GenError> {
         let last = SUBTREE_LEVELS.min(self.levels - root.level);
         let mut tiles = Vec::new();
         for level in 0..SUBTREE_LEVELS {
             for key in descendants(root, level) {
-                tiles.push(if level < last { self.entry(key)? } else { None });
+                tiles.push(if level < last { self.described(key)? } else { None });
             }
         }
         let mut children = Vec::new();
@@ -112,20 +121,27 @@ impl<'a> Subtrees<'a> {
         Ok(written)
     }
 
+    /// Returns a tile with the errors at its corners, if it has data.
+    fn described(&self, key: TileKey) -> Result<Option<Entry>, GenError> {
+        let Some(entry) = self.entry(key)? else { return Ok(None) };
+        let Some(is_round) = self.is_round else { return Ok(Some(entry)) };
+        let error_m = |key| Ok(self.entry(key)?.map_or(0.0, |entry| entry.geometric_error_m));
+        let corner_errors_m = TileErrors { error_m, first_level: 0, is_round }.corners(key)?;
+        Ok(Some(Entry { corner_errors_m: Some(corner_errors_m), ..entry }))
+    }
+
     /// Returns a tile, if it has data.
-    fn entry(&mut self, key: TileKey) -> Result<Option<Entry>, GenError> {
-        let layer = self.plan.layers.iter().find(|layer| (layer.root..=layer.finest).contains(&key.level));
-        let up = key.level - layer.map_or(0, |layer| layer.root);
-        let block = TileKey { level: key.level - up, x: key.x >> up, y: key.y >> up };
+    fn entry(&self, key: TileKey) -> Result<Option<Entry>, GenError> {
+        let Some(block) = self.plan.block_of(key) else { return Ok(None) };
         let list = self.list_of(block)?;
         Ok(list.binary_search_by_key(&key, |entry| entry.key).ok().map(|at| list[at]))
     }
 
-    fn list_of(&mut self, block: TileKey) -> Result<Arc<Vec<Entry>>, GenError> {
+    fn list_of(&self, block: TileKey) -> Result<Arc<Vec<Entry>>, GenError> {
         if block.level == 0 {
             return Ok(self.root.clone());
         }
-        if let Some(known) = self.lists.get(&block) {
+        if let Some(known) = self.lists.borrow_mut().get(&block) {
             return Ok(known.clone());
         }
         // Blocks without data were not made, or have an empty list.
@@ -138,7 +154,7 @@ impl<'a> Subtrees<'a> {
             }
         };
         let list = Arc::new(list);
-        self.lists.put(block, list.clone());
+        self.lists.borrow_mut().put(block, list.clone());
         Ok(list)
     }
 }
@@ -190,11 +206,17 @@ pub(crate) fn subtree(tiles: &[Option<Entry>], children: &[bool], contents: usiz
         let bytes: Vec<u8> = there.iter().flat_map(|entry| value(entry).to_le_bytes()).collect();
         json!({ "values": view(&bytes) })
     };
-    let properties = json!({
+    let mut properties = json!({
         "geometricError": column(|entry| entry.geometric_error_m),
         "minimumHeight": column(|entry| entry.heights_m[0]),
         "maximumHeight": column(|entry| entry.heights_m[1]),
     });
+    let corners: Vec<f32> =
+        there.iter().filter_map(|entry| entry.corner_errors_m).flatten().map(|error_m| error_m as f32).collect();
+    if corners.len() == 4 * there.len() {
+        let bytes: Vec<u8> = corners.iter().flat_map(|error_m| error_m.to_le_bytes()).collect();
+        properties["cornerErrors"] = json!({ "values": view(&bytes) });
+    }
     binary.resize(binary.len().next_multiple_of(8), 0);
     let json = json!({
         "buffers": [{ "byteLength": binary.len() }], "bufferViews": views,
@@ -212,14 +234,21 @@ pub(crate) fn subtree(tiles: &[Option<Entry>], children: &[bool], contents: usiz
     out
 }
 
-/// Returns the class of the tiles' metadata.
-pub(crate) fn tile_class() -> Value {
+/// Returns the class of the tiles' metadata. Height tiles have the errors at their corners.
+pub(crate) fn tile_class(has_corners: bool) -> Value {
     let number = |semantic: &str| json!({ "type": "SCALAR", "componentType": "FLOAT64", "semantic": semantic });
-    json!({ "properties": {
+    let mut class = json!({ "properties": {
         "geometricError": number("TILE_GEOMETRIC_ERROR"),
         "minimumHeight": number("TILE_MINIMUM_HEIGHT"),
         "maximumHeight": number("TILE_MAXIMUM_HEIGHT"),
-    } })
+    } });
+    if has_corners {
+        class["properties"]["cornerErrors"] = json!({
+            "type": "VEC4", "componentType": "FLOAT32", "semantic": "TERRANE_CORNER_ERRORS",
+            "description": "Geometric errors at the corners in metres: south-west, south-east, north-west, north-east",
+        });
+    }
+    class
 }
 
 #[cfg(test)]
@@ -229,7 +258,10 @@ mod tests {
     #[test]
     fn lists_are_read_back_and_tiles_are_found_by_morton_index() {
         let key = |level, x, y| TileKey { level, x, y };
-        let entry = |key, contents| Entry { key, contents, geometric_error_m: 0.1, heights_m: [-3.7, 1e9 / 7.0] };
+        let entry = |key, contents| {
+            let heights_m = [-3.7, 1e9 / 7.0];
+            Entry { key, contents, geometric_error_m: 0.1, heights_m, corner_errors_m: None }
+        };
         let all = vec![entry(key(3, 1, 7), 0), entry(key(2, 0, 3), 1)];
         let read = entries(&list(&all)).unwrap();
         assert_eq!(read, [all[1], all[0]]);

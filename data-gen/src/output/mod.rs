@@ -2,6 +2,7 @@
 
 mod archive;
 mod builder;
+mod corner_errors;
 mod encoding;
 mod finish;
 mod implicit;
@@ -17,6 +18,7 @@ mod tin;
 mod tree;
 
 pub(crate) use builder::{Builder, blocks};
+pub(crate) use corner_errors::{CornerErrors, JSON_BYTES as CORNER_ERRORS_JSON_BYTES, RATIO, TileErrors, is_round};
 pub use encoding::{TextureFormat, TileArgs, Triangles};
 #[cfg(feature = "object-store")]
 pub(crate) use finish::is_compressible;

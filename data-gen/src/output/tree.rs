@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 use terrane::math::{Ellipsoid, WGS84};
 
+use super::corner_errors::{CornerErrors, RATIO};
 use super::implicit::{Entry, SUBTREE_LEVELS, SUBTREES, tile_class};
 use super::mesh;
 use super::options::Tiling;
@@ -16,8 +17,9 @@ use super::tile_set::{form, skirt_m};
 use crate::Extent;
 use crate::args::{Color, ContentKind, GenArgs, Voids};
 use crate::body;
+use crate::color::TEXELS;
 use crate::georeference::ROUNDING;
-use crate::pyramid::{Below, Block, CELLS, Coverage, QUANTUM_M, Record, TileKey, Totals};
+use crate::pyramid::{Below, Block, CELLS, Coverage, QUANTUM_M, TileKey, Totals};
 
 /// Describes the tiles of a block.
 pub(crate) struct Tree<'a> {
@@ -39,6 +41,7 @@ impl<'a> Tree<'a> {
         let below = block.below.iter().map(|below| (below.root, *below)).collect();
         let mut keys: Vec<TileKey> = block.keys().collect();
         let skirts_m = keys.par_iter().map(|key| (*key, skirt_m(args, block, *key))).collect();
+        let ratio = if args.content == ContentKind::Height { RATIO } else { 1.0 };
         let (regions, errors_m) = (HashMap::new(), HashMap::new());
         let mut tree = Self { args, block, regions, below, distances_m, skirts_m, errors_m };
         keys.reverse();
@@ -52,7 +55,7 @@ impl<'a> Tree<'a> {
                 }
                 let of_child = tree.errors_m.get(&child).copied();
                 let of_child = of_child.or(tree.below.get(&child).map(|below| below.geometric_error_m));
-                error_m = error_m.max(of_child.unwrap_or(0.0));
+                error_m = error_m.max(ratio * of_child.unwrap_or(0.0));
             }
             tree.regions.insert(key, region);
             tree.errors_m.insert(key, error_m);
@@ -106,10 +109,23 @@ impl<'a> Tree<'a> {
     fn own_error_m(&self, key: TileKey) -> f64 {
         let is_quantized = form(self.args, self.block, key) == ContentKind::Mesh && !self.args.float_vertices;
         let rounding_m = if is_quantized { self.half_step_m(key) } else { 0.0 };
-        self.block.facts(key).error_m + self.distance_m(key) + rounding_m
+        let error_m = self.block.facts(key).error_m + self.distance_m(key) + rounding_m;
+        error_m.max(self.texel_m(key))
     }
 
-    /// Returns the geometric error of a tile with data in metres, at least that of each child.
+    /// Returns the size of a texel of a height tile in metres; 0 for a tile that has no finer image. With a smaller error the
+    /// images of flat ground would stay coarse.
+    fn texel_m(&self, key: TileKey) -> f64 {
+        let has_finer_image = self.args.color != Color::None && key.level + 1 < self.block.levels();
+        if self.args.content != ContentKind::Height || !has_finer_image {
+            return 0.0;
+        }
+        let e = self.block.extent(key);
+        (e.north - e.south) * self.block.ellipsoid().semi_major_m / TEXELS as f64
+    }
+
+    /// Returns the geometric error of a tile with data in metres, at least that of each child; of height tiles at least
+    /// [`RATIO`] times that.
     pub fn geometric_error_m(&self, key: TileKey) -> f64 {
         self.errors_m.get(&key).copied().unwrap_or(0.0)
     }
@@ -129,7 +145,8 @@ impl<'a> Tree<'a> {
             let form = form(self.args, self.block, key);
             let content = contents.iter().position(|content| *content == form)?;
             let geometric_error_m = self.geometric_error_m(key);
-            Some(Entry { key, contents: 1 << content, geometric_error_m, heights_m: [region[4], region[5]] })
+            let heights_m = [region[4], region[5]];
+            Some(Entry { key, contents: 1 << content, geometric_error_m, heights_m, corner_errors_m: None })
         };
         self.block.keys().filter_map(entry).collect()
     }
@@ -139,6 +156,14 @@ impl<'a> Tree<'a> {
         match self.args.content {
             ContentKind::Height => &[ContentKind::Height, ContentKind::Mesh],
             _ => &[ContentKind::Mesh],
+        }
+    }
+
+    /// Returns the set's root tile with its descendants in the block.
+    pub fn root(&self) -> Value {
+        match self.args.output.tiling {
+            Tiling::Implicit => self.implicit_root(),
+            Tiling::Explicit => self.tile(TileKey::ROOT, DAffine3::IDENTITY, ""),
         }
     }
 
@@ -167,18 +192,17 @@ impl<'a> Tree<'a> {
         tile
     }
 
-    /// Returns the tileset of the root's block.
-    pub fn tileset(&self, totals: &Totals) -> String {
+    /// Returns the tileset of the root's block. `tree` is [`Self::root`].
+    pub fn tileset(&self, totals: &Totals, tree: Value) -> String {
         let args = self.args;
         let is_implicit = args.output.tiling == Tiling::Implicit;
         let facts = self.block.facts(TileKey::ROOT);
         let undrawn_m = undrawn_error_m(&self.block.ellipsoid(), &self.block.extent(TileKey::ROOT));
-        let tree = if is_implicit { self.implicit_root() } else { self.tile(TileKey::ROOT, DAffine3::IDENTITY, "") };
         let root_error_m = tree["geometricError"].as_f64().unwrap_or(facts.error_m);
-        let mut tileset = json!({ "asset": asset(args, totals, 0), "geometricError": undrawn_m.max(2.0 * root_error_m), "root": tree });
+        let mut tileset = json!({ "asset": asset(args, totals, 0, None), "geometricError": undrawn_m.max(2.0 * root_error_m), "root": tree });
         (tileset["schema"], tileset["metadata"]) = (schema(), metadata(args, &self.block.ellipsoid(), totals));
         if is_implicit {
-            tileset["schema"]["classes"]["tile"] = tile_class();
+            tileset["schema"]["classes"]["tile"] = tile_class(args.content == ContentKind::Height);
         }
         tileset["root"]["refine"] = "REPLACE".into();
         body::declare(&self.block.ellipsoid(), &mut tileset);
@@ -232,9 +256,16 @@ impl<'a> Tree<'a> {
 }
 
 /// Returns the external tileset of a block, from the JSON of its root tile. Its errors are those of the whole set, so that it is
-/// written when all blocks are complete.
-pub(crate) fn external_tileset(args: &GenArgs, totals: &Totals, root: TileKey, record: &Record, tile: &str) -> String {
-    let (asset, error_m) = (asset(args, totals, root.level), json!(record.geometric_error_m));
+/// written when all blocks are complete. `above` are the errors of the levels above height tiles.
+pub(crate) fn external_tileset(
+    args: &GenArgs,
+    totals: &Totals,
+    root: TileKey,
+    error_m: f64,
+    tile: &str,
+    above: Option<&[CornerErrors]>,
+) -> String {
+    let (asset, error_m) = (asset(args, totals, root.level, above), json!(error_m));
     format!(r#"{{"asset":{asset},"geometricError":{error_m},"root":{tile}}}"#)
 }
 
@@ -310,7 +341,7 @@ fn metadata(args: &GenArgs, ellipsoid: &Ellipsoid, totals: &Totals) -> Value {
 }
 
 /// Returns the asset of a tileset whose root has a level of the set.
-fn asset(args: &GenArgs, totals: &Totals, level: u32) -> Value {
+fn asset(args: &GenArgs, totals: &Totals, level: u32, above: Option<&[CornerErrors]>) -> Value {
     let mut asset = json!({ "version": "1.1", "generator": "terrane" });
     if args.content == ContentKind::Height {
         asset["extras"] = json!({ "terrane": {
@@ -319,6 +350,9 @@ fn asset(args: &GenArgs, totals: &Totals, level: u32) -> Value {
         } });
         if level > 0 {
             asset["extras"]["terrane"]["level"] = level.into();
+        }
+        if let Some(above) = above {
+            asset["extras"]["terrane"]["above_errors_m"] = json!(above);
         }
     }
     asset

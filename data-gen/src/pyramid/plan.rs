@@ -65,6 +65,13 @@ impl Plan {
         plan
     }
 
+    /// Returns the root of the block that a tile is in; `None` for a tile above all blocks.
+    pub fn block_of(&self, key: TileKey) -> Option<TileKey> {
+        let layer = self.layers.iter().find(|layer| (layer.root..=layer.finest).contains(&key.level))?;
+        let up = key.level - layer.root;
+        Some(TileKey { level: layer.root, x: key.x >> up, y: key.y >> up })
+    }
+
     /// Returns the coarsest level.
     pub fn first_level(&self) -> u32 {
         self.layers.last().map_or(0, |layer| layer.root)

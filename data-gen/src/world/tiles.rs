@@ -117,7 +117,7 @@ impl WorldSet {
     }
 
     /// Returns true if tiles are meshes.
-    pub(super) fn has_meshes(&self) -> bool {
+    pub fn has_meshes(&self) -> bool {
         self.form.mesh.is_some()
     }
 

@@ -9,9 +9,10 @@ use super::form::Described;
 use super::points::sin_cos;
 use super::scatter::WIDEST_M;
 use super::tiles::WorldSet;
+use crate::output::{CornerErrors, TileErrors};
 use crate::output::{Entry, SUBTREE_LEVELS, SUBTREES, descendants, subtree, subtree_name, tile_class, undrawn_error_m};
 use crate::pyramid::{CELLS, QUANTUM_M};
-use crate::{TileKey, body};
+use crate::{GenError, TileKey, body};
 
 /// The number of levels in a tileset.
 pub(super) const LEVELS_PER_TILESET: u32 = 3;
@@ -20,8 +21,18 @@ pub(super) const LEVELS_PER_TILESET: u32 = 3;
 pub(super) struct Descriptions<'a> {
     /// Describes a tile.
     pub of: &'a (dyn Fn(TileKey) -> Described + Sync),
-    /// The errors of levels in metres, root first. Readers refine and morph height tiles by them.
+    /// The errors of levels in metres, root first. Readers refine and morph height tiles by them that have no errors of their
+    /// own.
     pub level_errors_m: &'a [f64],
+    /// The errors of height tiles; `None` if those of the tiles around a tile are not known.
+    pub errors: Option<TileErrors<&'a (dyn Fn(TileKey) -> Result<f64, GenError> + Sync)>>,
+}
+
+impl Descriptions<'_> {
+    /// Returns the errors at the corners of a height tile, if they are known.
+    fn corner_errors_m(&self, key: TileKey) -> Option<CornerErrors> {
+        self.errors.as_ref()?.corners(key).ok()
+    }
 }
 
 impl WorldSet {
@@ -37,7 +48,7 @@ impl WorldSet {
 
     /// Returns the descriptions of tiles that are computed alone.
     fn alone<'a>(&'a self, of: &'a (dyn Fn(TileKey) -> Described + Sync)) -> Descriptions<'a> {
-        Descriptions { of, level_errors_m: self.level_errors_m() }
+        Descriptions { of, level_errors_m: self.level_errors_m(), errors: None }
     }
 
     /// Returns the tileset whose root is a tile. `None` if the tile is not the root of a tileset. It is computed alone: its
@@ -52,17 +63,21 @@ impl WorldSet {
         self.tileset_path(key)?;
         let up = if key.level == 0 { "" } else { "../../" };
         let root = self.tile_json(key, key.level + LEVELS_PER_TILESET, up, described);
-        Some(self.tileset_of(key.level, root, described.level_errors_m).to_string())
+        Some(self.tileset_of(key, root, described).to_string())
     }
 
-    /// Returns the tileset around a root tile of a level.
-    fn tileset_of(&self, level: u32, mut root: Value, errors_m: &[f64]) -> Value {
+    /// Returns the tileset around a root tile.
+    fn tileset_of(&self, key: TileKey, mut root: Value, described: &Descriptions<'_>) -> Value {
+        let (level, errors_m) = (key.level, described.level_errors_m);
         let mut asset = json!({ "version": "1.1", "generator": "terrane" });
         if self.form.mesh.is_none() {
             asset["extras"] = json!({ "terrane": {
                 "format": 1, "content": "height", "layout": "wgs84", "side": CELLS + 1, "border": 1,
                 "quantum_m": QUANTUM_M, "level": level, "level_errors_m": errors_m,
             } });
+            if let Some(Ok(above)) = described.errors.as_ref().filter(|_| level > 0).map(|errors| errors.above(key)) {
+                asset["extras"]["terrane"]["above_errors_m"] = json!(above);
+            }
         }
         let error_m = root["geometricError"].as_f64().unwrap_or_default().max(errors_m[level as usize]);
         root["refine"] = "REPLACE".into();
@@ -102,8 +117,8 @@ impl WorldSet {
             true => tile["contents"] = json!([content(self.form.surface()), content(self.form.scatter())]),
             false => tile["content"] = content(self.form.surface()),
         }
-        let mut tileset = self.tileset_of(0, tile, described.level_errors_m);
-        tileset["schema"] = json!({ "id": "terrane", "classes": { "tile": tile_class() } });
+        let mut tileset = self.tileset_of(TileKey::ROOT, tile, described);
+        tileset["schema"] = json!({ "id": "terrane", "classes": { "tile": tile_class(described.errors.is_some()) } });
         tileset.to_string()
     }
 
@@ -136,7 +151,8 @@ impl WorldSet {
         }
         let entry = |key: TileKey| {
             let Described { geometric_error_m, heights_m } = (described.of)(key);
-            Entry { key, contents: if self.has_scatter(key.level) { 0b11 } else { 0b01 }, geometric_error_m, heights_m }
+            let contents = if self.has_scatter(key.level) { 0b11 } else { 0b01 };
+            Entry { key, contents, geometric_error_m, heights_m, corner_errors_m: described.corner_errors_m(key) }
         };
         let tiles: Vec<Option<Entry>> = (0..SUBTREE_LEVELS)
             .flat_map(|level| descendants(root, level))
@@ -167,6 +183,9 @@ impl WorldSet {
         }
         if let Some(imagery) = self.form.imagery() {
             tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.{imagery}") } });
+        }
+        if let Some(corner_errors_m) = described.corner_errors_m(key) {
+            tile["extras"]["terrane"]["corner_errors_m"] = json!(corner_errors_m);
         }
         if key.level + 1 < self.levels() {
             let children = key.children().map(|child| self.tile_json(child, end, up, described));

@@ -4,13 +4,14 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::errors::{RATIO, least_error_m};
+use super::errors::{RATIO as LEVEL_RATIO, least_error_m};
 use super::form::Described;
 use super::surface::World;
 use super::tiles::{WorldSet, WorldTile};
 use super::tileset::{Descriptions, LEVELS_PER_TILESET};
 use crate::args::{ContentKind, GenArgs};
 use crate::output::{BlockFile, Journal, Kind, ListedTile, SUBTREE_LEVELS, TileList, Tiling, descendants, write_whole};
+use crate::output::{RATIO, TileErrors, is_round};
 use crate::pyramid::{CELLS, Samples, Window, distance_to_finer_m};
 use crate::{GenError, Progress, Shard, Summary, TileKey};
 
@@ -214,8 +215,9 @@ impl Run<'_> {
         let error_m = (own_m + finest_m).max(least_error_m(set, key.level));
         let mut described = set.described(key, [low_m, high_m], error_m, tile.measures);
         [low_m, high_m] = described.heights_m;
+        let ratio = if set.has_meshes() { 1.0 } else { RATIO };
         for Described { geometric_error_m, heights_m: [low, high] } in below.iter().map(|child| child.described) {
-            described.geometric_error_m = described.geometric_error_m.max(geometric_error_m);
+            described.geometric_error_m = described.geometric_error_m.max(ratio * geometric_error_m);
             (low_m, high_m) = (low_m.min(low), high_m.max(high));
         }
         described.heights_m = [low_m, high_m];
@@ -289,7 +291,7 @@ fn measured_errors_m(set: &WorldSet, list: &TileList<MadeTile>) -> Vec<f64> {
         *error_m = error_m.max(tile.described.geometric_error_m);
     }
     for level in (0..errors_m.len().saturating_sub(1)).rev() {
-        errors_m[level] = errors_m[level].max(RATIO * errors_m[level + 1]);
+        errors_m[level] = errors_m[level].max(LEVEL_RATIO * errors_m[level + 1]);
     }
     errors_m
 }
@@ -303,7 +305,10 @@ fn write_tilesets(
     folder: &Path,
 ) -> Result<u64, GenError> {
     let of = |key: TileKey| list.get(key).map_or_else(|| set.expected(key), |tile| tile.described);
-    let described = Descriptions { of: &of, level_errors_m };
+    let error_m = |key: TileKey| Ok(list.get(key).map_or(0.0, |tile| tile.described.geometric_error_m));
+    let is_round = is_round(&set.extent(TileKey::ROOT));
+    let errors = (!set.has_meshes()).then_some(TileErrors { error_m: &error_m as &_, first_level: 0, is_round });
+    let described = Descriptions { of: &of, level_errors_m, errors };
     let write = |name: &str, content: &[u8]| {
         let path = folder.join(name);
         path.parent().map_or(Ok(()), |parent| std::fs::create_dir_all(parent).map_err(GenError::file(parent)))?;

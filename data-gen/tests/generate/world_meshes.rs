@@ -170,7 +170,7 @@ fn images_of_worlds_of_heights_have_the_format_that_is_asked_for() {
         "{files:?}"
     );
     let (files, set) = make("bare", &|args| args.color = Color::None);
-    assert_eq!((files.len(), set["root"]["extras"].is_null()), (2, true), "{files:?}");
+    assert_eq!((files.len(), set["root"]["extras"]["terrane"]["imagery"].is_null()), (2, true), "{files:?}");
 }
 
 #[test]

@@ -248,7 +248,7 @@ mod tests {
         };
         let header = crate::gpu::TABLE_HEADER_VECTORS;
         assert!(HEIGHT_WGSL.contains(&format!("const HEADER: u32 = {header}u;")));
-        assert!(HEIGHT_WGSL.contains(&format!("n <= {}u", crate::gpu::MORPH_LEVELS)));
+        assert!(HEIGHT_WGSL.contains(&format!("n <= {}u", crate::scene::MORPH_LEVELS)));
         for (name, value) in [
             ("STAGE_LIGHTS", crate::state::LIGHTS as u32),
             ("BAND_SHIFT", BAND_SHIFT),

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::math::Ellipsoid;
 
 /// The area that a tile covers. Its samples divide it evenly.
-#[derive(Clone, Copy, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) enum Placement {
     /// West, south, east and north on the ellipsoid of the set, in radians. East is beyond pi for a tile across the antimeridian.
     #[serde(rename = "region")]

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3, Vec4};
 
+use super::corner_errors::largest;
 use super::layout::Layout;
 use super::tile_data::TileData;
 use super::{exr, packed};
@@ -60,11 +61,11 @@ fn build(
     let side = data.side as usize;
     let Layout { rows, columns, p0_m, cell_m, world_from_tile } = data.placement.layout(ellipsoid, side);
     let stride = side + 2 * data.border as usize;
-    let own_error_m = data.errors_m.first().copied().unwrap_or(0.0);
-    let coarser_errors_m: Vec<f32> = data.errors_m.iter().skip(1).map(|e| *e as f32).collect();
+    let own_error_m = data.errors_m.first().map_or(0.0, largest);
+    let coarser_errors_m = data.errors_m.iter().skip(1).map(|corners| corners.map(|error_m| error_m as f32)).collect();
     // Both sides of an edge deviate from the ground by at most their errors. The skirt is deep enough for any neighbour, also
     // for the coarsest one, which is visible while its children load.
-    let coarsest_m = data.errors_m.iter().copied().fold(own_error_m, f64::max);
+    let coarsest_m = data.errors_m.iter().map(largest).fold(own_error_m, f64::max);
     let skirt_m = (own_error_m + coarsest_m + 1.0) as f32;
     let bounds = bounds(&rows, &columns, p0_m, heights.chunks_exact(stride).skip(1), skirt_m);
     let tile = HeightTile {
@@ -126,7 +127,7 @@ mod tests {
     use std::f64::consts::PI;
 
     use super::super::layout::Placement;
-    use super::super::tile_data::HeightSet;
+    use super::super::tile_data::{HeightSet, HeightTileJson};
     use super::*;
     use crate::fetch::Limits;
     use crate::math::{BoundingVolume, Geodetic, Region, WGS84};
@@ -134,7 +135,7 @@ mod tests {
     #[test]
     fn differences_reproduce_a_plane() {
         let placement = Placement::Plane([4000.0, -3000.0, 5000.0, -1000.0]);
-        let data = TileData { placement, side: 5, border: 1, level: 0, errors_m: vec![10.0], imagery: None };
+        let data = TileData { placement, side: 5, border: 1, level: 0, errors_m: vec![[10.0; 4]], imagery: None };
         let (world_from_tile, tile) = build(&data, &WGS84, (0..49).map(|i| i as f32 * 37.5).collect(), None);
         for j in 0..5 {
             for i in 0..5 {
@@ -154,7 +155,7 @@ mod tests {
     fn data_from_applications_is_checked() {
         let options = ReadOptions::for_root("/set/tileset.json", Limits::default());
         let error_of = |place: &str, side: u32, border: u32, error: &str| {
-            let data = format!(r#"{{{place},"side":{side},"border":{border},"level":0,"errors_m":[{error}]}}"#);
+            let data = format!(r#"{{{place},"side":{side},"border":{border},"level":0,"errors_m":[[{error},0,0,0]]}}"#);
             read("t.exr", &[], Some(&data), Vec::new(), &options, &Notes::default()).err().unwrap().to_string()
         };
         let plane = r#""plane":[0,0,10,10]"#;
@@ -181,7 +182,17 @@ mod tests {
         let tile = |west: f64, east: f64| {
             let region =
                 Region { west, south: 0.2, east, north: 0.21, min_height_m: 0.0, max_height_m: 9.0, ellipsoid: WGS84 };
-            let data = set.tile_data("/set/tileset.json", 0, &BoundingVolume::Region(region), None, None).unwrap();
+            let bounds = BoundingVolume::Region(region);
+            let tile = HeightTileJson {
+                level: 0,
+                bounds: &bounds,
+                plane: None,
+                imagery: None,
+                corner_errors_m: None,
+                geometric_error_m: 0.0,
+            };
+            let errors = set.errors("/set/tileset.json", &tile, None).unwrap();
+            let data = set.tile_data("/set/tileset.json", tile, &errors).unwrap();
             let data: TileData = serde_json::from_str(&data).unwrap();
             assert_eq!(data.check(), Ok(()));
             build(&data, &WGS84, (0..49).map(|i| i as f32).collect(), None)
@@ -201,7 +212,8 @@ mod tests {
         for (west, east) in [(0.1, 0.101), (0.1, 1.9), (-3.0, 3.1)] {
             for peak in 0..81 {
                 let placement = Placement::Region([west, 0.3, east, 0.6]);
-                let data = TileData { placement, side: 7, border: 1, level: 0, errors_m: vec![10.0], imagery: None };
+                let data =
+                    TileData { placement, side: 7, border: 1, level: 0, errors_m: vec![[10.0; 4]], imagery: None };
                 let heights = (0..81).map(|k| if k == peak { 3000.0 } else { (k % 5) as f32 }).collect();
                 let (_, tile) = build(&data, &WGS84, heights, None);
                 let mut tight = Aabb::EMPTY;
@@ -229,7 +241,7 @@ mod tests {
             side: 5,
             border: 1,
             level: 0,
-            errors_m: vec![10.0],
+            errors_m: vec![[10.0; 4]],
             imagery: None,
         };
         let (ecef_from_tile, tile) = build(&data, &WGS84, (0..49).map(|i| i as f32 * 37.5).collect(), None);

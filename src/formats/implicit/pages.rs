@@ -13,6 +13,7 @@ use super::semantics::VolumeOverrides;
 use super::subtree::{Subtree, external_buffers};
 use super::tiling::ImplicitTiling;
 use crate::fetch::IoError;
+use crate::formats::height::PlacedErrors;
 use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::properties::MetadataBudget;
@@ -50,6 +51,8 @@ struct Above {
     transform: DAffine3,
     /// True if a content above is replaced by the tiles below.
     is_replaced: bool,
+    /// The errors of the tile above, if it is a height tile.
+    heights: Option<PlacedErrors>,
 }
 
 /// A subtree in memory, shared by the parts of its tree.
@@ -229,23 +232,32 @@ impl PartReader {
         let metadata = self.keep(metadata, overrides.has_invalid);
         let transform =
             tiling.tile_transform(above.as_ref().map(|above| &above.transform), overrides.transform.as_ref());
+        let above_heights = above.as_ref().and_then(|above| above.heights.as_ref());
+        let height_data = tiling.height_data(coordinates, &overrides, &transform, above_heights);
+        let heights = height_data.as_ref().and_then(|data| data.as_ref().ok()).map(|(errors, _)| *errors);
+        let mut height_data = height_data.map(|data| data.map(|(_, data)| data));
         let mut contents = Vec::new();
         for number in 0..tiling.shape.contents {
             if self.subtree.subtree.has_content(tile, number) {
-                contents.extend(self.content(tile, number, &overrides.volume, &transform));
+                // The first content of a height tile has its heights.
+                let height_data = height_data.take().filter(|_| number == 0);
+                contents.extend(self.content(tile, number, &overrides.volume, &transform, height_data));
             }
         }
         let subtree = self.subtree.subtree.metadata().filter(|_| tile.level == 0).cloned();
         // A tile without content draws nothing where its error is small, which would be a hole below a replaced content.
         let is_replaced = above.map_or(tiling.is_replaced, |above| above.is_replaced);
         let bounds = tiling.bounds(coordinates, &overrides.volume, &transform);
-        let mut geometric_error_m = tiling.geometric_error_m(coordinates.level, &overrides, &transform);
+        let mut geometric_error_m = match &heights {
+            Some(errors) => errors.geometric_error_m(),
+            None => tiling.geometric_error_m(coordinates.level, &overrides, &transform),
+        };
         if contents.is_empty() && is_replaced {
             geometric_error_m = ALWAYS_REFINED_M;
         }
         let refine = overrides.refine.unwrap_or(tiling.refine);
         let replaces = !contents.is_empty() && refine == Refine::Replace;
-        let above = Above { transform, is_replaced: is_replaced || replaces };
+        let above = Above { transform, is_replaced: is_replaced || replaces, heights };
         let (mut children, mut continuations) = (Vec::new(), Vec::new());
         if tile.level < self.last_level {
             children = self.children(tile).into_iter().map(|child| self.tile(child, Some(above))).collect();
@@ -275,13 +287,14 @@ impl PartReader {
     }
 
     /// Returns a content of a tile: that of its template, or that which its metadata refers to. `volume` and `transform` are
-    /// those of the tile.
+    /// those of the tile, and `height_data` its reader data if the content is a height tile.
     fn content(
         &mut self,
         tile: LocalTile,
         number: usize,
         volume: &VolumeOverrides,
         transform: &DAffine3,
+        height_data: Option<Result<Arc<str>, IoError>>,
     ) -> Option<TileContent> {
         let row = self.subtree.subtree.content_row(tile, number);
         let metadata = self.keep(row.metadata, row.has_invalid);
@@ -295,7 +308,7 @@ impl PartReader {
         }
         let own = volume.of_content(&row.volume);
         content.bounds = own.map(|own| tiling.bounds(tile.coordinates, &own, transform));
-        match tiling.height_data(tile.coordinates, transform).filter(|_| number == 0) {
+        match height_data {
             Some(Ok(data)) => content.reader_data = Some(data.into()),
             Some(Err(error)) => content = TileContent::refused(content.uri, error),
             None => {}

@@ -5,6 +5,7 @@
 
 use glam::{DAffine3, DMat3, DVec3};
 
+use crate::formats::height::{CornerErrors, are_valid_errors};
 use crate::formats::tile::{S2Cell, tile_transform};
 use crate::math::{BoundingSphere, OrientedBox, Region, WGS84};
 use crate::scene::{PropertyValue, Refine};
@@ -13,6 +14,9 @@ use crate::scene::{PropertyValue, Refine};
 pub(super) const CONTENT_URI: &str = "CONTENT_URI";
 /// The semantic of the index of a content's group.
 pub(super) const CONTENT_GROUP_ID: &str = "CONTENT_GROUP_ID";
+
+/// The semantic of [`CornerErrors`], which height tiles have.
+const CORNER_ERRORS: &str = "TERRANE_CORNER_ERRORS";
 
 /// Returns true for a semantic of tiles or contents that is kept as metadata, but has no effect.
 pub(super) fn is_without_effect(semantic: &str) -> bool {
@@ -40,6 +44,8 @@ pub(super) enum Semantic {
     Refine,
     /// `TILE_TRANSFORM`: 16 numbers, column by column.
     Transform,
+    /// [`CORNER_ERRORS`]: 4 numbers, metres.
+    CornerErrors,
 }
 
 impl Semantic {
@@ -49,6 +55,7 @@ impl Semantic {
             "TILE_GEOMETRIC_ERROR" => Some(Self::GeometricError),
             "TILE_REFINE" => Some(Self::Refine),
             "TILE_TRANSFORM" => Some(Self::Transform),
+            CORNER_ERRORS => Some(Self::CornerErrors),
             _ => Self::of_volume(name.strip_prefix("TILE_")?),
         }
     }
@@ -76,6 +83,8 @@ impl Semantic {
 pub(super) struct Overrides {
     pub volume: VolumeOverrides,
     pub geometric_error: Option<f64>,
+    /// Geometric errors of a height tile, which has a part of the ground: nothing scales them.
+    pub corner_errors_m: Option<CornerErrors>,
     pub refine: Option<Refine>,
     /// The transform to the frame of the tile above.
     pub transform: Option<DAffine3>,
@@ -116,6 +125,7 @@ impl Overrides {
             Semantic::MinHeight => volume.min_height_m = number(value),
             Semantic::MaxHeight => volume.max_height_m = number(value),
             Semantic::GeometricError => self.geometric_error = number(value).filter(|error| *error >= 0.0),
+            Semantic::CornerErrors => self.corner_errors_m = numbers(value).filter(are_valid_errors),
             Semantic::Transform => self.transform = numbers(value).as_ref().and_then(tile_transform),
             Semantic::Refine => {
                 self.refine = match (value.as_f64(), value.as_str()) {
@@ -130,6 +140,7 @@ impl Overrides {
             Semantic::MinHeight => volume.min_height_m.is_some(),
             Semantic::MaxHeight => volume.max_height_m.is_some(),
             Semantic::GeometricError => self.geometric_error.is_some(),
+            Semantic::CornerErrors => self.corner_errors_m.is_some(),
             Semantic::Transform => self.transform.is_some(),
             Semantic::Refine => self.refine.is_some(),
         };

@@ -11,7 +11,7 @@ use super::semantics::{Overrides, Shape, VolumeOverrides};
 use super::subtree::SubtreeShape;
 use super::template::UriTemplate;
 use crate::fetch::IoError;
-use crate::formats::height::HeightSet;
+use crate::formats::height::{HeightSet, HeightTileJson, PlacedErrors};
 use crate::formats::options::ReadOptions;
 use crate::formats::properties::Schema;
 use crate::formats::tile::{ContentData, S2Cell, TileContent, UpAxis};
@@ -72,6 +72,8 @@ pub(in crate::formats) struct HeightTemplate<'a> {
     pub set: HeightSet,
     /// The level of the root of the implicit tree in its tileset.
     pub root_level: u32,
+    /// The errors of the tile above the root.
+    pub above: Option<PlacedErrors>,
     /// The rectangle of the root, which is halved for the tiles below; `None` for a root with a region.
     pub plane: Option<[f64; 4]>,
     /// The reference to the image of each tile, with placeholders.
@@ -83,6 +85,7 @@ pub(in crate::formats) struct HeightTemplate<'a> {
 struct ImplicitHeights {
     set: HeightSet,
     root_level: u32,
+    above: Option<PlacedErrors>,
     plane: Option<[f64; 4]>,
     imagery: Option<UriTemplate>,
 }
@@ -150,8 +153,9 @@ impl ImplicitTiling {
         if root.heights.is_some() && subdivision == Subdivision::Octree {
             return Err(IoError::unsupported(root.uri, "an octree of height tiles"));
         }
-        let heights = root.heights.map(|HeightTemplate { set, root_level, plane, imagery }| {
-            Ok::<_, IoError>(ImplicitHeights { set, root_level, plane, imagery: imagery.map(resolve).transpose()? })
+        let heights = root.heights.map(|HeightTemplate { set, root_level, above, plane, imagery }| {
+            let imagery = imagery.map(resolve).transpose()?;
+            Ok::<_, IoError>(ImplicitHeights { set, root_level, above, plane, imagery })
         });
         Ok(Self {
             heights: heights.transpose()?,
@@ -202,9 +206,16 @@ impl ImplicitTiling {
         Some(ReaderData::of(data))
     }
 
-    /// Returns the reader data of a height tile: its part of the root, whatever its metadata says, so that neighbours meet.
-    /// `None` if the contents are no height tiles.
-    pub(super) fn height_data(&self, tile: TileCoordinates, transform: &DAffine3) -> Option<Result<Arc<str>, IoError>> {
+    /// Returns the errors of a height tile and its reader data. It has its part of the root, whatever its metadata says, so that
+    /// neighbours meet. `above` are the errors of the tile above; `None` for the root of the tree. Returns `None` if the
+    /// contents are no height tiles.
+    pub(super) fn height_data(
+        &self,
+        tile: TileCoordinates,
+        overrides: &Overrides,
+        transform: &DAffine3,
+        above: Option<&PlacedErrors>,
+    ) -> Option<Result<(PlacedErrors, Arc<str>), IoError>> {
         let heights = self.heights.as_ref()?;
         let bounds = self.bounds(tile, &VolumeOverrides::default(), transform);
         let plane = heights.plane.map(|[west, south, east, north]| {
@@ -212,9 +223,16 @@ impl ImplicitTiling {
             let (width, height) = (east - west, north - south);
             [west + width * x.0, south + height * y.0, west + width * x.1, south + height * y.1]
         });
-        let imagery = heights.imagery.as_ref().map(|template| template.fill(tile));
-        let level = heights.root_level + tile.level;
-        Some(heights.set.tile_data(&self.uri, level, &bounds, plane, imagery))
+        let described = HeightTileJson {
+            level: heights.root_level + tile.level,
+            bounds: &bounds,
+            plane,
+            imagery: heights.imagery.as_ref().map(|template| template.fill(tile)),
+            corner_errors_m: overrides.corner_errors_m,
+            geometric_error_m: self.geometric_error_m(tile.level, overrides, transform),
+        };
+        let errors = heights.set.errors(&self.uri, &described, above.or(heights.above.as_ref()));
+        Some(errors.and_then(|errors| Ok((errors, heights.set.tile_data(&self.uri, described, &errors)?))))
     }
 
     /// Returns true if the contents are height tiles.
@@ -264,11 +282,6 @@ impl ImplicitTiling {
 
     /// Returns the geometric error of a tile of a level, metres of the tileset's frame.
     pub(super) fn geometric_error_m(&self, level: u32, overrides: &Overrides, transform: &DAffine3) -> f64 {
-        // The error of height tiles is the same for all of a level, so that neighbours morph alike.
-        let heights = self.heights.as_ref();
-        if let Some(error_m) = heights.and_then(|heights| heights.set.level_error_m(heights.root_level + level)) {
-            return error_m;
-        }
         let by_level = self.geometric_error / level_scale(level);
         overrides.geometric_error.unwrap_or(by_level) * max_scale(&transform.matrix3)
     }

@@ -16,7 +16,7 @@ use super::volume::{affine, bounding_volume, inverse, root_volume};
 use crate::fetch::{IoError, path_of, resolve};
 use crate::formats::embedded::is_data_uri;
 use crate::formats::external_files::ExternalFiles;
-use crate::formats::height::HeightSet;
+use crate::formats::height::{HeightSet, HeightTileJson, PlacedErrors};
 use crate::formats::ignored::Notes;
 use crate::formats::implicit::{
     ContentTemplate, HeightTemplate, ImplicitRoot, ImplicitTiling, ImplicitTilingJson, SubtreeSource,
@@ -39,6 +39,8 @@ struct Inherited {
     geometric_error: f64,
     /// The volume of the parent; `None` for the root.
     bounds: Option<BoundingVolume>,
+    /// The errors of the parent, if it is a height tile.
+    heights: Option<PlacedErrors>,
 }
 
 /// Parses a tileset and returns its root tile. `companions` are the files that it refers to: its schema.
@@ -102,6 +104,7 @@ pub(super) fn read_noting(
         level: 0,
         geometric_error: tileset.geometric_error.map_or(0.0, |error| error.0),
         bounds: None,
+        heights: None,
     };
     reader.tile(tileset.root, DAffine3::IDENTITY, inherited)
 }
@@ -200,14 +203,19 @@ impl Reader<'_> {
             };
             return self.implicit_root(tiling, &json, root, parent, inherited);
         }
-        let mut height_data = None;
+        let (mut height_data, mut height_errors) = (None, None);
         if let Some(heights) = &self.heights {
-            geometric_error_m = heights.level_error_m(level).unwrap_or(geometric_error_m);
             let extras = json.extras.0.as_ref();
             let base = self.options.base.as_ref().unwrap_or(self.uri);
             let imagery = extras.and_then(|own| own.imagery.as_deref());
             let imagery = imagery.map(|reference| resolve(base, reference, &self.options.root)).transpose()?;
-            height_data = Some(heights.tile_data(base, level, &bounds, extras.and_then(|own| own.plane), imagery)?);
+            let plane = extras.and_then(|own| own.plane);
+            let corner_errors_m = extras.and_then(|own| own.corner_errors_m);
+            let tile = HeightTileJson { level, bounds: &bounds, plane, imagery, corner_errors_m, geometric_error_m };
+            let errors = heights.errors(base, &tile, inherited.heights.as_ref())?;
+            geometric_error_m = errors.geometric_error_m();
+            height_data = Some(heights.tile_data(base, tile, &errors)?);
+            height_errors = Some(errors);
         }
         let References { mut contents, external_tilesets } = self.references(&json, &content_transform);
         if let Some(first) = contents.first_mut()
@@ -227,6 +235,7 @@ impl Reader<'_> {
             level: level + 1,
             geometric_error,
             bounds: Some(bounds),
+            heights: height_errors,
         };
         let mut children = Vec::with_capacity(json.children.len());
         for child in json.children {
@@ -272,6 +281,7 @@ impl Reader<'_> {
         let heights = self.heights.as_ref().map(|set| HeightTemplate {
             set: set.clone(),
             root_level: inherited.level,
+            above: inherited.heights,
             plane: extras.and_then(|own| own.plane),
             imagery: extras.and_then(|own| own.imagery.as_deref()),
         });

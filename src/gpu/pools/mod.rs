@@ -49,7 +49,7 @@ pub(crate) use custom_drawables::{CustomCompile, CustomDrawables, CustomShape, M
 pub(crate) use drawable_entry::LINEAR_HARMONICS;
 pub(crate) use drawable_entry::{BindClass, DrawableEntry, Extent, Shape};
 #[cfg(test)]
-pub(crate) use heights::{HEADER_VECTORS, MORPH_LEVELS};
+pub(crate) use heights::HEADER_VECTORS;
 pub(super) use heights::{HeightSlot, table_bytes, table_words};
 pub(crate) use meshes::{MAX_ATTRIBUTE_LAYOUTS, MeshPool, VertexFormat};
 pub(super) use meshes::{MeshAllocation, MeshSlot, interleaved_bytes, short_index_bytes};

@@ -5,6 +5,9 @@ use std::sync::Arc;
 use super::texture::Texture;
 use crate::math::Aabb;
 
+/// The largest number of coarser levels that the vertices of a height tile morph to.
+pub const MORPH_LEVELS: usize = 6;
+
 /// A square of heights, drawn from one shared grid by the vertex shader.
 ///
 /// Frame: origin at the tile's centre on the ellipsoid (or plane), axes east, "radial", "polar"; the page's
@@ -31,9 +34,11 @@ pub struct HeightTile {
     pub p0_m: f32,
     /// Level of the tile, root 0.
     pub level: u32,
-    /// Geometric errors in metres of the levels `level-1, level-2, ...` (at most 6). Where a vertex morphs into the coarser
-    /// grid depends only on the level and the distance, so that neighbours agree.
-    pub coarser_errors_m: Vec<f32>,
+    /// Geometric errors in metres of the levels `level-1, level-2, ...` (at most [`MORPH_LEVELS`]), each at the corners of this
+    /// tile: south-west, south-east, north-west, north-east. Between the corners they are interpolated. Where a vertex morphs
+    /// into the coarser grid depends on the level's error there and on the distance. So neighbours agree if they have the same
+    /// errors at common corners.
+    pub coarser_errors_m: Vec<[f32; 4]>,
     /// Depth of the skirt in metres.
     pub skirt_m: f32,
     /// Size of a cell at the tile's centre, metres east and north (for normals).

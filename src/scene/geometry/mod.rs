@@ -19,7 +19,7 @@ mod vertex_attributes;
 
 pub use attribute_format::AttributeFormat;
 pub use drawable::Drawable;
-pub use height_tile::HeightTile;
+pub use height_tile::{HeightTile, MORPH_LEVELS};
 pub use material::{AlphaMode, Clearcoat, Dielectric, MapParts, Material, MetallicRoughness, OverlayMode, SecondUv};
 pub use mesh::{Mesh, MeshVertex, Topology, VertexFormat};
 pub use normal_cone::NormalCone;

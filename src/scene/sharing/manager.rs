@@ -306,7 +306,7 @@ impl SharedStateManager {
             bytemuck::cast_slice(&t.columns),
             bytemuck::cast_slice(&[t.p0_m, t.skirt_m, t.cell_m[0], t.cell_m[1]]),
             bytemuck::cast_slice(&[t.side, t.level, u32::from(t.texture.is_some())]),
-            bytemuck::cast_slice(&t.coarser_errors_m),
+            bytemuck::cast_slice(t.coarser_errors_m.as_flattened()),
             bytemuck::cast_slice(&b),
             &texture,
         ]);

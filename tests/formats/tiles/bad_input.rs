@@ -412,7 +412,7 @@ fn deep_nesting_is_refused() {
 }
 
 const HEIGHT: &str =
-    r#"{"region":[0.1,0.8,0.11,0.81],"side":5,"border":1,"level":1,"errors_m":[1.0,2.0],"imagery":null}"#;
+    r#"{"region":[0.1,0.8,0.11,0.81],"side":5,"border":1,"level":1,"errors_m":[[1,1,1,1],[2,2,2,2]],"imagery":null}"#;
 
 #[test]
 fn height_tiles_are_checked() {

@@ -3,6 +3,7 @@
 mod archives;
 #[cfg(unix)]
 mod buckets;
+mod corner_errors;
 mod implicit;
 mod packed;
 mod terrain;

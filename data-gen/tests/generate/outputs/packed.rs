@@ -29,7 +29,7 @@ fn small(out: PathBuf) -> GenArgs {
 fn heights(set: &Path, name: &str) -> Vec<f32> {
     let uri = set.join(name).to_string_lossy().into_owned();
     let bytes = FileReader::new(Limits::default()).read(&uri).unwrap();
-    let data = r#"{"region":[0.1,0.8,0.11,0.81],"side":65,"border":1,"level":0,"errors_m":[1]}"#;
+    let data = r#"{"region":[0.1,0.8,0.11,0.81],"side":65,"border":1,"level":0,"errors_m":[[1,1,1,1]]}"#;
     let uri: Arc<str> = uri.into();
     let content = Content { uri: uri.clone(), bytes, reader_data: Some(data.into()), companions: Vec::new() };
     let node = decode_node(content, &ReadOptions::for_root(&uri, Limits::default())).unwrap();

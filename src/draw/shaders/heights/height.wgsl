@@ -1,9 +1,9 @@
 // Height tiles: one grid mesh, displaced and morphed by the vertex shader.
 //
 // Vertex v of level L is drawn at p_L(v) = (1 - k) P(v) + k p_{L-1}(snap(v)). P is the tile's own surface, and snap(v) is
-// the coarser level's vertex south-west of v. The weight k depends on the level and the distance from the eye to P(v)
-// alone; if rays are parallel, on the level alone. So two tiles that share an edge compute the same points on it. Where a
-// finer tile meets a coarser one, its edge has k = 1, which is the coarser one's edge.
+// the coarser level's vertex south-west of v. The weight k depends on the coarser level's error at v and the distance from the
+// eye to P(v) alone; if rays are parallel, on the error alone. So two tiles that share an edge compute the same points on it.
+// Where a finer tile meets a coarser one, its edge has k = 1, which is the coarser one's edge.
 
 // A vertex with height h in the row (dp, dz, cos, sin) and the column (sin', 1 - cos') has the position
 //     east   = (p0 + dp + h cos) * sin'
@@ -16,7 +16,7 @@
 @group(1) @binding(2) var color_layers: texture_2d_array<f32>;
 @group(1) @binding(3) var color_sampler: sampler;
 
-const HEADER: u32 = 3u;
+const HEADER: u32 = 8u;
 
 // Returns the row j of a tile's table.
 fn row_of(table: u32, j: i32) -> vec4<f32> {
@@ -48,9 +48,12 @@ fn slope_at(side: u32, layer: u32, vertex: vec2<i32>, step: i32, cell: vec2<f32>
     return rise / (vec2<f32>(2 * reach) * cell);
 }
 
-// Returns the geometric error of the n-th ancestor's level in metres.
-fn range_error(table: u32, n: u32) -> f32 {
-    return tables[table + 1u + n / 4u][n % 4u];
+// Returns the geometric error of the n-th coarser level at a vertex in metres, interpolated between the corners of the tile.
+fn error_at(table: u32, n: u32, vertex: vec2<i32>, cells: i32) -> f32 {
+    let corners = tables[table + 2u + n];  // south-west, south-east, north-west, north-east
+    let place = vec2<f32>(vertex) / f32(cells);
+    let south_north = mix(corners.xz, corners.yw, place.x);
+    return mix(south_north.x, south_north.y, place.y);
 }
 
 // A vertex of a tile in eye space.
@@ -87,7 +90,7 @@ fn height_point(index: u32, instance: u32) -> HeightPoint {
     }
 
     let header = tables[table];  // p0, skirt, cell size east and north
-    let levels = u32(tables[table + 2u].z);
+    let levels = u32(tables[table + 1u].x);
     let morph_start = frame.sun_color.w;
     let range_per_error = frame.sun_direction.w;
     let row = row_of(table, vertex.y);
@@ -111,7 +114,7 @@ fn height_point(index: u32, instance: u32) -> HeightPoint {
         var k = 0.0;
         if n < levels {
             let distance = select(length(point_in_eye(leaf, point)), 1.0, frame.air.w > 0.0);
-            let range = max(range_error(table, n) * range_per_error, 1e-6);
+            let range = max(error_at(table, n, v, cells) * range_per_error, 1e-6);
             k = clamp((distance / range - morph_start) / (1.0 - morph_start), 0.0, 1.0);
         }
         let share = weight * (1.0 - k);

@@ -8,5 +8,5 @@ mod height_table;
 pub(in crate::gpu) use height_pool::HeightPool;
 pub(crate) use height_pool::HeightSlot;
 #[cfg(test)]
-pub(crate) use height_table::{HEADER_VECTORS, MORPH_LEVELS};
+pub(crate) use height_table::HEADER_VECTORS;
 pub(in crate::gpu) use height_table::{table_bytes, table_words};

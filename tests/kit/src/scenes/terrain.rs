@@ -90,8 +90,55 @@ impl Terrain {
         with_mips(side as u32, side as u32, pixels)
     }
 
-    /// Returns a tile as a node: a transform to the world with the height tile below it.
+    /// Returns the geometric error of a tile, metres. It is small in two of three squares of the second level, and at least 1.5
+    /// times that of each tile below.
+    fn uneven_error_m(&self, level: u32, x: u32, y: u32) -> f64 {
+        let rough = |x: u32, y: u32| (x + y).is_multiple_of(3);
+        let is_rough = match level.checked_sub(2) {
+            Some(up) => rough(x >> up, y >> up),
+            None => {
+                let side = 1 << (2 - level);
+                (0..side * side).any(|k| rough(x * side + k % side, y * side + k / side))
+            }
+        };
+        self.error_m(level) * if is_rough { 1.0 } else { 0.2 }
+    }
+
+    /// Returns the errors of a level at the corners of a tile of that level: the largest of the tiles around each.
+    fn uneven_corners_m(&self, level: u32, x: u32, y: u32) -> [f64; 4] {
+        let last = (1i64 << level) - 1;
+        [[0, 0], [1, 0], [0, 1], [1, 1]].map(|[east, north]: [i64; 2]| {
+            let [x, y] = [i64::from(x) + east, i64::from(y) + north];
+            let around = [[x - 1, y - 1], [x, y - 1], [x - 1, y], [x, y]];
+            let errors = around.map(|[x, y]| {
+                let is_there = (0..=last).contains(&x) && (0..=last).contains(&y);
+                if is_there { self.uneven_error_m(level, x as u32, y as u32) } else { 0.0 }
+            });
+            errors.into_iter().fold(0.0, f64::max)
+        })
+    }
+
+    /// Returns the errors of the levels above a tile, at its corners.
+    fn coarser_uneven_errors_m(&self, level: u32, x: u32, y: u32) -> Vec<[f32; 4]> {
+        let of_level = |up: u32| {
+            let [south_west, south_east, north_west, north_east] = self.uneven_corners_m(level - up, x >> up, y >> up);
+            let side = f64::from(1u32 << up);
+            [[0, 0], [1, 0], [0, 1], [1, 1]].map(|[east, north]| {
+                let [u, v] = [x + east - (x >> up << up), y + north - (y >> up << up)].map(|at| f64::from(at) / side);
+                let south = south_west + u * (south_east - south_west);
+                let north = north_west + u * (north_east - north_west);
+                (south + v * (north - south)) as f32
+            })
+        };
+        (1..=level.min(6)).map(of_level).collect()
+    }
+
+    /// Returns a tile as a node: a transform to the world with the height tile below it. All tiles of a level have its error.
     pub fn tile(&self, level: u32, x: u32, y: u32) -> Node {
+        self.tile_with(level, x, y, (1..=level.min(6)).map(|up| [self.error_m(level - up) as f32; 4]).collect())
+    }
+
+    fn tile_with(&self, level: u32, x: u32, y: u32, coarser_errors_m: Vec<[f32; 4]>) -> Node {
         let side = 65usize;
         let tiles = f64::from(1u32 << level);
         let size = 1.0 / tiles;
@@ -134,7 +181,7 @@ impl Terrain {
             columns,
             p0_m: p0 as f32,
             level,
-            coarser_errors_m: (0..level.min(6)).map(|n| self.error_m(level - 1 - n) as f32).collect(),
+            coarser_errors_m,
             skirt_m: (2.0 * self.error_m(level)) as f32,
             cell_m,
             texture: self.textured.then(|| Arc::new(self.image(u0, v0, size))),
@@ -160,19 +207,39 @@ impl Terrain {
         WGS84.up(&self.geodetic(u, v))
     }
 
-    /// Returns the tiles for an eye, refined where the error projects to more pixels than the camera allows.
+    /// Returns the tiles for an eye, refined where the error of their level projects to more pixels than the camera allows.
     pub fn tiles_for(&self, camera: &CullCamera, eye: DVec3, max_level: u32) -> Node {
-        let mut nodes = Vec::new();
-        let mut stack = vec![(0u32, 0u32, 0u32)];
-        while let Some((level, x, y)) = stack.pop() {
-            let range = self.error_m(level) * camera.px_per_radian() / camera.settings.max_sse_px;
+        let tiles = self.selected(camera, eye, max_level, &|level, _, _| self.error_m(level));
+        Node::group(tiles.into_iter().map(|[level, x, y]| self.tile(level, x, y)).collect())
+    }
+
+    /// Does the same as [`Self::tiles_for`], with an error for each tile. A tile is refined by the largest at its corners.
+    pub fn uneven_tiles_for(&self, camera: &CullCamera, eye: DVec3, max_level: u32) -> Node {
+        let largest = |level, x, y| self.uneven_corners_m(level, x, y).into_iter().fold(0.0, f64::max);
+        let tiles = self.selected(camera, eye, max_level, &largest);
+        let tile = |[level, x, y]: [u32; 3]| self.tile_with(level, x, y, self.coarser_uneven_errors_m(level, x, y));
+        Node::group(tiles.into_iter().map(tile).collect())
+    }
+
+    /// Returns the level, x and y of the tiles that are drawn, if `error_m` is the error of each.
+    fn selected(
+        &self,
+        camera: &CullCamera,
+        eye: DVec3,
+        max_level: u32,
+        error_m: &dyn Fn(u32, u32, u32) -> f64,
+    ) -> Vec<[u32; 3]> {
+        let mut tiles = Vec::new();
+        let mut stack = vec![[0, 0, 0]];
+        while let Some([level, x, y]) = stack.pop() {
+            let range = error_m(level, x, y) * camera.px_per_radian() / camera.settings.max_sse_px;
             if level < max_level && self.distance_m(level, x, y, eye) < range {
-                stack.extend([(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| (level + 1, 2 * x + dx, 2 * y + dy)));
+                stack.extend([(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| [level + 1, 2 * x + dx, 2 * y + dy]));
             } else {
-                nodes.push(self.tile(level, x, y));
+                tiles.push([level, x, y]);
             }
         }
-        Node::group(nodes)
+        tiles
     }
 
     /// Returns a lower bound of the distance from the eye to a tile: that to its nearest vertex, less one metre.

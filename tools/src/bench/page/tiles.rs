@@ -71,7 +71,7 @@ impl Tile {
         }
         let half = 0.5 * self.side_m();
         let data = json!({
-            "plane": [-half, -half, half, half], "side": SIDE, "border": 1, "level": self.level, "errors_m": [1.0],
+            "plane": [-half, -half, half, half], "side": SIDE, "border": 1, "level": self.level, "errors_m": [[1.0, 1.0, 1.0, 1.0]],
             "imagery": uri("png"),
         });
         (uri("exr").into(), Some(data.to_string().into()))
