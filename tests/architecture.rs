@@ -1,5 +1,5 @@
 //! The layout of the source: the direction of imports between the folders of `src`, and circles of imports inside folders. In all
-//! code of the workspace: the number of Rust files per folder, and the length of files.
+//! code of the workspace: the number of Rust files per folder, the length of files, and large types. And the form of the documents.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -27,6 +27,15 @@ const CRATES: [&str; 3] = ["src", "data-gen/src", "tools/src"];
 /// Rust files only: the shaders are one list of programs in one folder.
 const MAX_FILES_PER_FOLDER: usize = 14;
 const MAX_LINES_PER_FILE: usize = 600;
+/// A type with more fields says why in its documentation.
+const MAX_FIELDS: usize = 16;
+/// The documents that are read first, and their limits in bytes.
+const MAX_BYTES_PER_DOCUMENT: [(&str, usize); 3] =
+    [("README.md", 9 << 10), ("ARCHITECTURE.md", 12 << 10), ("CHANGELOG.md", 12 << 10)];
+/// The longest cell of a table in the README.
+const MAX_CELL: usize = 120;
+/// The sections of a decision.
+const SECTIONS: [&str; 5] = ["Context", "Decision", "Measurement", "Consequences", "When to look at it again"];
 /// The folders whose files and sub-folders have these limits.
 const LIMITED: [&str; 7] = ["src", "tools/src", "tools/tests", "data-gen", "tests", "examples", "benches"];
 
@@ -70,6 +79,43 @@ fn folders_and_files_are_small() {
         folders.extend(folders_of(&folder).into_iter().filter(|path| file_name(path) != "target"));
     }
     assert!(violations.is_empty(), "too large:\n{violations}");
+}
+
+#[test]
+fn large_types_say_why() {
+    let mut violations = String::new();
+    for file in CRATES.iter().flat_map(|folder| rust_files(&root().join(folder))) {
+        let text = fs::read_to_string(&file).unwrap();
+        for (name, fields) in undocumented_large_types(&text) {
+            writeln!(violations, "{}: {name} has {fields} fields and does not say why", file.display()).unwrap();
+        }
+    }
+    assert!(violations.is_empty(), "types with more than {MAX_FIELDS} fields:\n{violations}");
+    let fields: String = (0..=MAX_FIELDS).map(|i| format!("    pub(crate) f{i}: u8,\n")).collect();
+    let found =
+        |above: &str| undocumented_large_types(&format!("{above}\npub struct Large<'a> {{\n{fields}}}\n")).len();
+    assert_eq!([found("/// Everything."), found("/// It has many fields.\n#[derive(Debug)]")], [1, 0]);
+}
+
+#[test]
+fn documents_are_short_and_decisions_complete() {
+    for (name, limit) in MAX_BYTES_PER_DOCUMENT {
+        let bytes = fs::read(root().join(name)).unwrap().len();
+        assert!(bytes <= limit, "{name}: {bytes} bytes, at most {limit} are allowed");
+    }
+    let readme = fs::read_to_string(root().join("README.md")).unwrap();
+    let cells = readme.lines().filter(|line| line.starts_with('|')).flat_map(|row| row.split('|'));
+    let long: Vec<&str> = cells.filter(|cell| cell.trim().chars().count() > MAX_CELL).collect();
+    assert!(long.is_empty(), "cells of more than {MAX_CELL} characters: {long:?}");
+    let is_decision = |path: &PathBuf| file_name(path).starts_with(|c: char| c.is_ascii_digit());
+    let decisions: Vec<PathBuf> = files_in(&root().join("docs/decisions")).into_iter().filter(is_decision).collect();
+    assert!(decisions.len() > 50, "{decisions:?}");
+    for file in decisions {
+        let text = fs::read_to_string(&file).unwrap();
+        let lacks = |section: &&&str| !text.lines().any(|line| line.strip_prefix("## ") == Some(**section));
+        let missing: Vec<_> = SECTIONS.iter().filter(lacks).collect();
+        assert!(missing.is_empty(), "{} has no section {missing:?}", file.display());
+    }
 }
 
 #[test]
@@ -177,6 +223,30 @@ fn rust_files(folder: &Path) -> Vec<PathBuf> {
     let mut files: Vec<PathBuf> = files_in(folder).into_iter().filter(|path| is_rust(path)).collect();
     files.extend(folders_of(folder).iter().flat_map(|folder| rust_files(folder)));
     files
+}
+
+/// Returns the structs of a file with more than [`MAX_FIELDS`] fields whose comment says nothing of fields, and how many they have.
+fn undocumented_large_types(text: &str) -> Vec<(String, usize)> {
+    let lines: Vec<&str> = text.lines().collect();
+    let mut found = Vec::new();
+    for (at, line) in lines.iter().enumerate() {
+        let indentation = line.len() - line.trim_start().len();
+        let Some((visibility, rest)) = line.split_once("struct ").filter(|_| line.ends_with('{')) else { continue };
+        if !(visibility.trim().is_empty() || visibility.trim_start().starts_with("pub")) {
+            continue;
+        }
+        let body = lines[at + 1..].iter().take_while(|line| **line != format!("{:indentation$}}}", ""));
+        let is_field = |line: &&&str| {
+            let own = line.len() - line.trim_start().len() == indentation + 4;
+            own && line.contains(": ") && !line.trim_start().starts_with(['/', '#'])
+        };
+        let fields = body.filter(is_field).count();
+        let above = lines[..at].iter().rev().take_while(|line| line.trim_start().starts_with(['/', '#']));
+        if fields > MAX_FIELDS && !above.into_iter().any(|line| line.contains("field")) {
+            found.push((rest.split(|c: char| !c.is_alphanumeric()).next().unwrap().to_owned(), fields));
+        }
+    }
+    found
 }
 
 /// Replaces comments, and items under `#[cfg(test)]`, by empty text. Line numbers stay the same.

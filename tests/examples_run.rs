@@ -31,7 +31,7 @@ fn example(name: &str) -> PathBuf {
 fn frames(name: &str) -> u32 {
     match name {
         "custom_drawable" | "multi_view" | "occluders" | "picking" if !kit::long_tests() => 8,
-        // What it shows turns.
+        // The object that it shows turns.
         "render_to_texture" => 30,
         _ if !kit::long_tests() => 12,
         _ => 30,

@@ -50,6 +50,7 @@ pub enum Voids {
 }
 
 /// Makes a tile set from elevation files, or from noise if none are given.
+// More than 16 fields: one for each option and each group of options.
 #[derive(Clone, Debug, clap::Args)]
 pub struct GenArgs {
     /// Folder to write, or a folder in a bucket: s3://BUCKET/FOLDER, gs://... or az://...
@@ -257,6 +258,16 @@ fn size_m(text: &str) -> Result<f64, String> {
 fn jobs(text: &str) -> Result<usize, String> {
     let jobs = text.parse().ok().filter(|jobs| JOBS.contains(jobs));
     jobs.ok_or_else(|| format!("expected a number of threads from {} to {}", JOBS.start(), JOBS.end()))
+}
+
+/// Takes negative numbers as the values of options, so that the error of `--levels -1` gives the valid range instead of clap's
+/// advice on options that begin with a digit.
+pub fn with_negative_numbers(command: clap::Command) -> clap::Command {
+    let command = command.mut_subcommands(with_negative_numbers);
+    command.mut_args(|arg| match arg.get_action().takes_values() && !arg.is_positional() {
+        true => arg.allow_negative_numbers(true),
+        false => arg,
+    })
 }
 
 /// The summary of a run, printed at its end.

@@ -34,7 +34,7 @@ mod virtual_raster;
 mod web_tiles;
 mod world;
 
-pub use args::{Color, ContentKind, GenArgs, Summary, Voids};
+pub use args::{Color, ContentKind, GenArgs, Summary, Voids, with_negative_numbers};
 pub use body::BodyArg;
 pub use elevation::{
     DEFAULT_CACHE_BYTES, ElevationSource, HeightEncoding, Procedural, Raster, RasterOptions, SampleRow, SourceSample,

@@ -1,7 +1,7 @@
 //! Counts of a draw, made on the draw thread where the counted thing happens.
 
-/// Counts and times of one call of [`Renderer::draw`](crate::draw::Renderer::draw). A flat struct, since callers sum and
-/// report each count.
+/// Counts and times of one call of [`Renderer::draw`](crate::draw::Renderer::draw). A flat struct of many fields,
+/// since callers sum and report each count.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DrawStats {
     /// The number of leaves drawn, without shadow casters, boxes of occlusion queries and backgrounds.

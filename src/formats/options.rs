@@ -20,7 +20,7 @@ use crate::scene::{BlockFormats, Node, ReaderData, SharedStateManager};
 /// An overlay may have a document, and asks for a few coarser levels where images are missing.
 pub(crate) const MAX_DEPENDENCY_ROUNDS: usize = 10;
 
-/// Options that all reads of a tile set share.
+/// Options that all reads of a tile set share. More than 16 fields: one for each option.
 #[derive(Clone, Debug)]
 pub struct ReadOptions {
     /// The URIs that references may lead to.

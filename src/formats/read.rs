@@ -392,7 +392,7 @@ impl ModelReader<'_> {
         let start = bytes.get(..4.min(bytes.len())).unwrap_or(&[]);
         Err(IoError::invalid(
             uri,
-            format!("of no known format: it begins with {start:02x?} ({:?})", start.escape_ascii().to_string()),
+            format!("of no known format: it begins with {start:02x?} (\"{}\")", start.escape_ascii()),
         ))
     }
 }

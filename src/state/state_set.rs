@@ -9,7 +9,8 @@ use super::variance::DataVariance;
 
 /// State for a node and everything below.
 ///
-/// Nodes share sets by reference. Cull merges the sets above a drawable; a set below wins, unless a flag says otherwise.
+/// Nodes share sets by reference; one that is shared is not changed any more but replaced, by any thread that builds nodes, or in
+/// update. Cull merges the sets above a drawable; a set below wins, unless a flag says otherwise.
 ///
 /// ```
 /// use std::sync::Arc;

@@ -26,6 +26,8 @@ use crate::sync::OperationQueue;
 
 /// Views, their scenes and their contexts, with one frame for all of them; osgViewer's `CompositeViewer`.
 ///
+/// One thread owns it and calls [`Self::frame`]: that of the event loop if it has windows.
+///
 /// A context is one target, a window or an offscreen texture, on a device. Contexts may have a device each
 /// ([`Self::open_window`], [`Self::open_context`]) or share one ([`Self::open_window_on`], [`Self::open_offscreen_on`]).
 ///
@@ -359,12 +361,17 @@ impl CompositeViewer {
 
 /// Frames, the threads that run them, and their results.
 impl CompositeViewer {
-    /// Renders one frame of all views; simulation time follows the wall clock.
+    /// Renders one frame of all views; simulation time follows the wall clock. In models that overlap frames it returns before the
+    /// images are drawn.
+    ///
+    /// # Errors
+    /// Fails if a context cannot be drawn, if a thread that draws or culls has ended, or with the error of a callback. A lost device
+    /// is replaced instead, and is an error only if it is lost again soon. Tiles that fail to load are no errors of a frame.
     pub fn frame(&mut self) -> Result<(), ViewerError> {
         self.frame_at(self.frame.timer().seconds())
     }
 
-    /// Renders one frame of all views at a simulation time in seconds.
+    /// Renders one frame of all views at a simulation time in seconds, as [`Self::frame`] does.
     pub fn frame_at(&mut self, simulation_time_s: f64) -> Result<(), ViewerError> {
         let has_changes =
             self.has_operations() || self.views.values().any(|view| changes(&self.frame, view, &self.scenes));

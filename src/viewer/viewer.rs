@@ -24,6 +24,9 @@ use crate::scene::{Page, PageId, Scene};
 
 /// One view of one scene; osgViewer's `Viewer`.
 ///
+/// One thread owns it and calls [`Self::frame`]: that of the event loop if it has windows. Whether other threads cull and draw is
+/// decided by [`ViewerConfig::threading`].
+///
 /// It is a [`CompositeViewer`] with one view, one scene and one context, which always exist. The methods here are
 /// shortcuts for them. [`Self::view_mut`] has the camera, the light and the event queue; [`Self::actions`] the manipulator
 /// and everything else that event handlers may use; [`Self::composite_mut`] contexts, threads and further views.
@@ -51,7 +54,10 @@ pub struct Viewer {
 }
 
 impl Viewer {
-    /// Creates a viewer that draws into a texture.
+    /// Creates a viewer that draws into a texture, of [`ViewerConfig::size_px`].
+    ///
+    /// # Errors
+    /// Fails without an adapter, or if a thread cannot be started.
     pub fn new_offscreen(config: &ViewerConfig) -> Result<Self, ViewerError> {
         Self::new(GraphicsContext::new_offscreen(&config.traits())?, config)
     }
@@ -153,6 +159,11 @@ impl Viewer {
 impl Viewer {
     /// Loads a root tile set (folder, file or URL) into a scene without one, moves the camera to the first view of it, and
     /// fits sun and haze to its size. Blocks until the root is read.
+    ///
+    /// # Errors
+    /// Fails if the root cannot be read or is invalid ([`ViewerError::Io`]), if the scene has one already
+    /// ([`ViewerError::HasTileset`]), or if the pager's threads cannot be started. Tiles that fail later fail no call: they are in
+    /// [`DatabasePager::errors`].
     pub fn load(&mut self, source: &str) -> Result<PageId, ViewerError> {
         self.composite.load(self.scene, source)
     }
@@ -303,13 +314,16 @@ impl Viewer {
         Ok(())
     }
 
-    /// Renders one frame; simulation time follows the wall clock.
+    /// Renders one frame; simulation time follows the wall clock. In models that overlap frames it returns before the image is drawn.
+    ///
+    /// # Errors
+    /// See [`CompositeViewer::frame`].
     pub fn frame(&mut self) -> Result<(), ViewerError> {
         let seconds = self.parts().0.timer().seconds();
         self.frame_at(seconds)
     }
 
-    /// Renders one frame at a simulation time in seconds.
+    /// Renders one frame at a simulation time in seconds, as [`Self::frame`] does.
     pub fn frame_at(&mut self, simulation_time_s: f64) -> Result<(), ViewerError> {
         let start = Instant::now();
         self.composite.frame_at(simulation_time_s)?;

@@ -70,7 +70,7 @@ fn serve(tile_bytes: usize, reply: impl Fn(&Request, Reply) -> Reply + Send + Sy
 fn load_all(source: &str, config: PagerConfig) -> PagerStats {
     let mut run = Run::new(source, config);
     let until = Instant::now() + MAX_TIME;
-    // What is written to the cache is on its way too.
+    // Bytes that are being written to the cache count too.
     while run.pager.stats().merged < TILES as u64 || run.pager.stats().loading_bytes > 0 {
         assert!(Instant::now() < until, "{:?} {:?}", run.pager.stats(), run.pager.errors());
         run.frame(above(10.0));

@@ -6,6 +6,7 @@ use glam::{DAffine3, DMat4, DQuat, DVec3, DVec4, EulerRot};
 use image::{Rgba, RgbaImage};
 use terrane::cull::CullCamera;
 use terrane::math::Aabb;
+use terrane::math::random::SplitMix64;
 use terrane::scene::{
     AlphaMode, Billboard, BillboardMode, CameraNode, ClipNode, Drawable, Environment, Geometry, LightSource,
     LocalLights, Material, Mesh, MeshVertex, Node, NodeKind, ReferenceFrame, RenderOrder, Scene, TexGenNode, Topology,
@@ -33,24 +34,20 @@ pub fn seeds(first: u64, sample: u64) -> std::ops::Range<u64> {
     first.parse().unwrap()..end.parse().unwrap()
 }
 
-/// SplitMix64.
-pub struct Random(u64);
+/// Random numbers from a seed.
+pub struct Random(SplitMix64);
 
 impl Random {
     pub fn new(seed: u64) -> Self {
-        Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x5851_f42d_4c95_7f2d)
+        Self(SplitMix64::new(seed.wrapping_mul(SplitMix64::GOLDEN_GAMMA) ^ 0x5851_f42d_4c95_7f2d))
     }
 
     fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        self.0.next_u64()
     }
 
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * ((self.next() >> 11) as f64 / (1u64 << 53) as f64)
+        low + (high - low) * self.0.next_unit()
     }
 
     /// Returns a number from 0 to below `end`.

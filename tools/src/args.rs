@@ -24,6 +24,9 @@ pub struct Args {
 impl Args {
     /// Checks combinations of arguments. The error ends the program with exit code 2, as other invalid arguments do.
     pub fn check(&self) -> Result<(), String> {
+        if let Some((net, source)) = self.command.net() {
+            net.check(source)?;
+        }
         match &self.command {
             Command::Fly(args) if args.frames == Some(0) && !args.settle => {
                 Err("--frames 0 draws nothing; --settle draws the image of the first camera".to_owned())
@@ -38,6 +41,22 @@ impl Args {
             Command::Stress(args) => args.check(),
             _ => Ok(()),
         }
+    }
+}
+
+impl Command {
+    /// Returns the arguments for servers with the source that they are for, which is empty if none is given.
+    fn net(&self) -> Option<(&NetArgs, &str)> {
+        Some(match self {
+            Self::Fly(args) => (&args.scene.net, args.source.as_deref().unwrap_or_default()),
+            Self::View(args) => (&args.scene.net, args.source.as_deref().unwrap_or_default()),
+            Self::Info(args) => (&args.net, &args.source),
+            Self::Convert(args) => args.net(),
+            Self::Crop(args) => args.net(),
+            Self::Cache(args) => return args.net(),
+            Self::Bench(BenchArgs { bench: Bench::Page { url: Some(url), net, .. } }) => (net, url),
+            _ => return None,
+        })
     }
 }
 

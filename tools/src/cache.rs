@@ -54,6 +54,16 @@ pub struct FillArgs {
     pub net: NetArgs,
 }
 
+impl CacheArgs {
+    /// Returns the arguments for servers, and the source that they are for.
+    pub fn net(&self) -> Option<(&NetArgs, &str)> {
+        match &self.command {
+            CacheCommand::Fill(args) => Some((&args.net, &args.source)),
+            _ => None,
+        }
+    }
+}
+
 /// A region: west, south, east and north in degrees.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RegionArg(pub [f64; 4]);

@@ -19,9 +19,10 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use clap::error::ErrorKind;
-use clap::{CommandFactory as _, Parser as _};
+use clap::{CommandFactory as _, FromArgMatches as _};
 use terrane::fetch::printable;
 use terrane::viewer::DisplaySettings;
+use terrane_data_gen::GenError;
 
 fn main() -> ExitCode {
     let mut line: Vec<OsString> = std::env::args_os().collect();
@@ -38,11 +39,7 @@ fn main() -> ExitCode {
             line = words.into_iter().map(OsString::from).collect();
         }
     }
-    // Other invalid arguments end the program here, with clap's message and exit code 2.
-    let args = args::Args::parse_from(line);
-    if let Err(what) = args.check() {
-        args::Args::command().error(ErrorKind::ValueValidation, what).exit();
-    }
+    let args = parse(line);
     let (name, result) = match args.command {
         args::Command::Fly(args) => ("fly", fly::run(args, display)),
         args::Command::View(args) => ("view", fly::run((*args).into(), display)),
@@ -69,9 +66,27 @@ fn main() -> ExitCode {
             let line = format!("{error:#}").split_whitespace().collect::<Vec<_>>().join(" ");
             // Without a reader of standard error there is no one to tell.
             let _ = writeln!(std::io::stderr(), "terrane {name}: {}", printable(&line));
-            ExitCode::from(1)
+            ExitCode::from(if is_about_arguments(&error) { 2 } else { 1 })
         }
     }
+}
+
+/// Parses the command line. Invalid arguments end the program with clap's message and exit code 2.
+fn parse(line: Vec<OsString>) -> args::Args {
+    let mut command = args::Args::command().mut_subcommands(terrane_data_gen::with_negative_numbers);
+    let matches = command.try_get_matches_from_mut(line).unwrap_or_else(|error| error.exit());
+    let args = args::Args::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut command).exit());
+    if let Err(reason) = args.check() {
+        let name = matches.subcommand_name().unwrap_or_default();
+        let used = command.find_subcommand_mut(name);
+        used.unwrap_or(&mut args::Args::command()).error(ErrorKind::ValueValidation, reason).exit();
+    }
+    args
+}
+
+/// Returns true for options of `gen` that are found to be wrong after clap has parsed them.
+fn is_about_arguments(error: &anyhow::Error) -> bool {
+    matches!(error.downcast_ref(), Some(GenError::Argument(_)))
 }
 
 /// Makes Ctrl-C and SIGTERM say what the command `program` leaves unfinished.

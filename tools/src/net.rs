@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Error, Result, ensure};
 use clap::Args as ClapArgs;
 use terrane::fetch::services::{GOOGLE_SERVER, ION_SERVER, IonAsset, ServiceKind, ServiceSource, google_tiles};
 use terrane::fetch::{AllowedHost, CacheConfig, Credential, HttpConfig, Limits, is_http};
@@ -66,7 +66,7 @@ pub struct Opened {
     pub http: HttpConfig,
     /// The owners that its service names.
     pub attributions: Vec<String>,
-    /// What it is to its service, if it has one.
+    /// Its kind in its service, if it has one.
     pub kind: Option<ServiceKind>,
 }
 
@@ -118,17 +118,28 @@ impl NetArgs {
         Ok(Some(IonAsset { id, token, server: self.ion_server.clone() }.open(http)?))
     }
 
+    /// Checks the credentials for a source. The error is without their text.
+    pub fn check(&self, source: &str) -> Result<(), String> {
+        if self.header.iter().any(|Secret(text)| !text.contains(':')) {
+            return Err("--header needs NAME: VALUE, such as `Authorization: Bearer ...`".to_owned());
+        }
+        if self.query.iter().any(|Secret(text)| !text.contains('=')) {
+            return Err("--query needs NAME=VALUE, such as `key=...`".to_owned());
+        }
+        match is_http(source) || self.header.is_empty() && self.query.is_empty() {
+            true => Ok(()),
+            false => Err("--header and --query need an http(s) URL as the source".to_owned()),
+        }
+    }
+
     /// Returns the HTTP configuration for a source.
     pub fn http(&self, source: &str) -> Result<HttpConfig> {
+        self.check(source).map_err(Error::msg)?;
         let mut credentials = Vec::new();
-        let has_credentials = !self.header.is_empty() || !self.query.is_empty();
-        ensure!(is_http(source) || !has_credentials, "--header and --query are for sources on a server");
-        for Secret(text) in &self.header {
-            let (name, value) = text.split_once(':').context("--header needs NAME: VALUE")?;
+        for (name, value) in self.header.iter().filter_map(|Secret(text)| text.split_once(':')) {
             credentials.push(Credential::header(source, name.trim(), value.trim())?);
         }
-        for Secret(text) in &self.query {
-            let (name, value) = text.split_once('=').context("--query needs NAME=VALUE")?;
+        for (name, value) in self.query.iter().filter_map(|Secret(text)| text.split_once('=')) {
             credentials.push(Credential::query(source, name, value)?);
         }
         Ok(HttpConfig {

@@ -48,7 +48,8 @@ pub struct CameraView<'a> {
     pub environment: &'a Environment,
 }
 
-/// Executes render stages on one [`GraphicsContext`].
+/// Executes render stages on one [`GraphicsContext`], on the thread that owns both: the only one that may use the device's queue.
+/// Colours are linear until the last pass, positions relative to the eye in metres.
 pub struct Renderer {
     resources: Resources,
     passes: Passes,

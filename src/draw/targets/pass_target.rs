@@ -65,7 +65,8 @@ pub(in crate::draw) struct DisplayedImage {
     pub(in crate::draw) format: wgpu::TextureFormat,
 }
 
-/// The attachments of a stage's render pass.
+/// The attachments of a stage's render pass. More than 16 fields: one for each list of views that wgpu's descriptor borrows, and
+/// one for each way in which passes into the target differ.
 #[derive(Clone)]
 pub(in crate::draw) struct PassTarget {
     pub(super) colors: [Option<wgpu::TextureView>; MAX_COLOR_ATTACHMENTS],

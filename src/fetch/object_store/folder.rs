@@ -75,8 +75,8 @@ impl ObjectFolder {
     /// # Errors
     /// Fails if the URI is not one of a bucket, or if the configuration is invalid.
     pub fn open(uri: &str, config: &HttpConfig) -> Result<Self, IoError> {
-        let uri = uri.trim_end_matches('/');
         let bad = |reason: &str| IoError::Uri { uri: uri.to_owned(), reason: reason.to_owned() };
+        let uri = uri.trim_end_matches('/');
         let bucket = server(uri);
         let is_named = bucket.split_once("://").is_some_and(|(_, name)| !name.is_empty());
         if !is_store(uri) || !is_named || uri.contains(['?', '#']) {

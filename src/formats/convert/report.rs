@@ -154,7 +154,7 @@ pub struct Converted {
     pub failed: u64,
     /// The first failures: URI, as [`shown`](crate::fetch::shown) returns it, and reason.
     pub errors: Vec<(String, String)>,
-    /// What contents ask for and their readers leave out, and what glTF or this writer cannot hold, counted by kind.
+    /// Counts by kind: features of contents that their readers leave out, and those that glTF or this writer cannot hold.
     pub left_out: BTreeMap<String, u64>,
 }
 

@@ -25,7 +25,7 @@ pub(in crate::formats) struct ServerTiles {
     pub credit: Option<Arc<str>>,
 }
 
-/// What a document describes.
+/// The description of an overlay in a document.
 pub(in crate::formats) struct DocumentInfo {
     /// The name of the format.
     pub format: &'static str,

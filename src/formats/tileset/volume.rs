@@ -29,19 +29,19 @@ pub(super) fn bounding_volume(
     set_from_content: &DAffine3,
     ellipsoid: Ellipsoid,
 ) -> Result<BoundingVolume, IoError> {
-    let bad = |what: &str, v: &[f64]| IoError::invalid(uri, format!("bounding {what} {v:?} is invalid"));
+    let bad = |what: &str, v: &[f64], expected| IoError::invalid(uri, reason(what, v, expected));
     if let Some((cell, heights)) = s2(uri, json)? {
         let b = cell.oriented_box(&ellipsoid, heights[0], heights[1]);
         return Ok(BoundingVolume::Box(inverse(set_from_content).map_or(b, |map| b.transformed(&map))));
     }
     if let Some(v) = json.oriented_box.as_ref().map(|v| v.0.as_slice()) {
-        let &[cx, cy, cz, ax, ay, az, bx, by, bz, gx, gy, gz] = v else { return Err(bad("box", v)) };
+        let &[cx, cy, cz, ax, ay, az, bx, by, bz, gx, gy, gz] = v else { return Err(bad("box", v, 12)) };
         let b = OrientedBox {
             center: DVec3::new(cx, cy, cz),
             half_axes: DMat3::from_cols(DVec3::new(ax, ay, az), DVec3::new(bx, by, bz), DVec3::new(gx, gy, gz)),
         };
         if !v.iter().all(|x| x.is_finite() && x.abs() < 1e15) {
-            return Err(bad("box", v));
+            return Err(bad("box", v, 12));
         }
         return Ok(BoundingVolume::Box(b.transformed(world)));
     }
@@ -51,9 +51,9 @@ pub(super) fn bounding_volume(
         return Ok(BoundingVolume::Box(region.oriented_box().transformed(&content_from_set)));
     }
     if let Some(v) = json.sphere.as_ref().map(|v| v.0.as_slice()) {
-        let &[x, y, z, radius_m] = v else { return Err(bad("sphere", v)) };
+        let &[x, y, z, radius_m] = v else { return Err(bad("sphere", v, 4)) };
         if !v.iter().all(|x| x.is_finite() && x.abs() < 1e15) || radius_m < 0.0 {
-            return Err(bad("sphere", v));
+            return Err(bad("sphere", v, 4));
         }
         let s = BoundingSphere::new(DVec3::new(x, y, z), radius_m);
         return Ok(BoundingVolume::Sphere(s.transformed(world)));
@@ -99,10 +99,18 @@ pub(super) fn root_volume(uri: &str, json: &VolumeJson, ellipsoid: Ellipsoid) ->
     }
 }
 
+/// Returns why the numbers of a volume are invalid.
+fn reason(what: &str, v: &[f64], expected: usize) -> String {
+    match v.len() == expected {
+        true => format!("bounding {what} {v:?} is invalid: a number is out of range"),
+        false => format!("bounding {what} has {} numbers, expected {expected}", v.len()),
+    }
+}
+
 /// Parses the region of a volume, if it has one.
 fn region(uri: &str, json: &VolumeJson, ellipsoid: Ellipsoid) -> Result<Option<Region>, IoError> {
     let Some(v) = json.region.as_ref().map(|v| v.0.as_slice()) else { return Ok(None) };
-    let bad = || IoError::invalid(uri, format!("bounding region {v:?} is invalid"));
+    let bad = || IoError::invalid(uri, reason("region", v, 6));
     let &[west, south, east, north, min_height_m, max_height_m] = v else { return Err(bad()) };
     let pi = PI + 1e-6;
     let finite = v.iter().all(|x| x.is_finite() && x.abs() < 1e9);

@@ -11,7 +11,7 @@ use super::report::{InfoError, record};
 use crate::fetch::{IoError, printable};
 use crate::formats::tile::Body;
 
-/// Summary of a tile set.
+/// Summary of a tile set. Its many fields are the keys of the JSON document.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Info {
     /// "3D Tiles", "3D Tiles with heights", "quantized-mesh terrain", "raster overlay (WMTS)", or the format of a single
@@ -43,7 +43,7 @@ pub struct Info {
     pub body: Option<Body>,
     /// The bounds of the whole set.
     pub bounds: BoundsInfo,
-    /// What is particular to the format, by name: its projection, reference system, layers.
+    /// Properties of the format alone, by name: its projection, reference system, layers.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub details: BTreeMap<String, String>,
     /// The credit that a terrain service or a map server asks for.

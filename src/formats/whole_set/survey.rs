@@ -134,7 +134,7 @@ struct Visit {
     is_read_once: bool,
 }
 
-/// Where a node is.
+/// The frame and the level of a node.
 #[derive(Clone, Copy)]
 struct Place {
     set_from_node: DAffine3,
@@ -414,7 +414,7 @@ impl Walk<'_> {
     }
 }
 
-/// Where a tile is, and the options for its content.
+/// The frame and level of a tile, and the options for its content.
 struct Visited {
     place: Place,
     options: Rc<ReadOptions>,

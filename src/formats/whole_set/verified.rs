@@ -25,7 +25,7 @@ pub struct Verified {
     /// Measures of the tiles by level, set at the end. Empty for a single content and for a map server.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub levels: Vec<LevelMeasures>,
-    /// What is wrong with tiles that can be read, by kind, set at the end.
+    /// Problems of tiles that can be read, by kind, set at the end.
     pub problems: Vec<Problem>,
     /// Number of edges of tiles that were not compared, since too many others waited for a neighbour.
     #[serde(skip_serializing_if = "is_zero")]

@@ -39,7 +39,7 @@ pub(super) struct Elements<'a> {
     pub accuracy: Accuracy,
 }
 
-/// What compression may change.
+/// The changes that compression may make.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Accuracy {
     Exact,

@@ -13,7 +13,7 @@ use crate::pager::upload::context::CompileContext;
 use crate::scene::{ContentKey, NodeId, Page, ReaderData, SceneError, SceneNumber};
 use crate::trace;
 
-/// What a page holds that is about to be merged.
+/// The memory of a page that is about to be merged, and the contents that it shares.
 struct Held {
     cpu_bytes: u64,
     /// By context id.

@@ -73,6 +73,9 @@ const DECODED_AHEAD: usize = 12;
 
 /// Streams pages in and out of a [`Scene`](crate::scene::Scene), or of several ([`Self::add_scene`]). All scenes share one
 /// request list, one set of threads, one budget and their equal contents.
+///
+/// Its methods are called by one thread, that of update: a viewer calls them in its frame. Its own threads read and decode; they end
+/// when it is dropped. A load that fails is no error of a call, but one of [`Self::errors`].
 pub struct DatabasePager {
     config: PagerConfig,
     scenes: SceneRegistry,

@@ -37,7 +37,7 @@ impl DatabasePager {
         if !self.scenes.set_overlays(number, overlays) {
             return;
         }
-        // What is on its way has the old images. What has failed is tried again.
+        // Contents in flight have the old images, and failed ones are tried again.
         let failed = self.table.iter().filter(|(slot, entry)| slot.page.scene == number && entry.has_failed());
         for (slot, _) in failed {
             scene.forget_failure(slot);

@@ -55,7 +55,7 @@ pub(in crate::pager) enum LoadStage {
 pub(in crate::pager) struct LoadProgress {
     /// A [`LoadStage`]. Relaxed: it is only shown, no other memory depends on it.
     stage: AtomicU8,
-    /// What a loading thread has parsed, for the decode thread.
+    /// Objects that a loading thread has parsed, for the decode thread.
     read_ahead: ReadAhead,
     /// Used by the HTTP thread alone, which computes it once.
     #[cfg(feature = "http")]

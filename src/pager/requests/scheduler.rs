@@ -223,7 +223,7 @@ impl Scheduler {
         let now = now.saturating_sub(state.taken_now());
         let room = at.room.pages_of_mean_size(RESERVED_TENTHS).saturating_sub(state.outstanding() as u64);
         let takes_any = at.config.ahead_in_flight > 0 && !at.is_paused;
-        // Where room is tight, only those are listed that are needed about as soon as the soonest.
+        // If room is tight, only prefetches that are needed about as soon as the soonest are listed.
         let short = prefetches.soonest.filter(|_| takes_any && room < prefetches.count as u64);
         let latest = short.map_or(u32::MAX, |soonest| soonest.saturating_add(PREFETCH_MARGIN_FRAMES));
         let count = table.waiting_mut().list_prefetches(&at.room, latest) as u64;

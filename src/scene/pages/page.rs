@@ -28,7 +28,9 @@ use crate::state::{Attribute, StateSet};
 
 /// The result of one load: nodes and drawables in flat depth-first arrays, tile trees in separate arrays.
 ///
-/// A reader or an application builds it from a tree of nodes. A scene then owns it, as a root or in the slot of a tile.
+/// A reader or an application builds it from a tree of nodes, on any thread. A scene then owns it, as a root or in the slot of a tile:
+/// update alone changes it. Lengths are metres; bounds are stored as `f32` relative to the page's origin, and translations as
+/// `f64`.
 ///
 /// ```
 /// use terrane::glam::DVec3;

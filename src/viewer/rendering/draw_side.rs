@@ -74,7 +74,8 @@ impl DrawnContext {
     }
 }
 
-/// A device with its renderer, owned by one thread.
+/// A device with its renderer, owned by one thread. More than 16 fields: an end of each channel to the main side, and the state of
+/// each kind of command.
 pub(super) struct DrawSide {
     pub(super) context: GraphicsContext,
     renderer: Renderer,

@@ -19,7 +19,7 @@ use crate::viewer::input::Input;
 use crate::viewer::paging::PagedScene;
 use crate::viewer::rendering::{CullTask, Lens, Rendering};
 
-/// A scene seen by a master camera and its slaves.
+/// A scene seen by a master camera and its slaves. The main thread changes it between frames; culls get copies of its cameras.
 pub struct View {
     /// The master camera. Change it between frames, or set a manipulator that moves it.
     pub camera: Camera,

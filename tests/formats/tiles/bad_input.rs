@@ -248,6 +248,10 @@ fn invalid_bounds_and_errors_are_refused() {
     }
     refused(&tileset(SPHERE, "NaN", "a.glb"));
     refused(&tileset(SPHERE, "1e999", "a.glb"));
+    for (volume, reason) in [(r#""box":[1,2,3]"#, "box has 3 numbers, expected 12"), (r#""region":[0]"#, "expected 6")]
+    {
+        assert!(refused(&tileset(volume, "1", "a.glb")).contains(reason), "{volume}");
+    }
 }
 
 #[test]

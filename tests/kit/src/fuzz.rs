@@ -2,6 +2,8 @@
 
 use std::time::{Duration, Instant};
 
+use terrane::math::random::{SplitMix64, mix64};
+
 /// Returns the seconds for each parser: `FUZZ_SECS`, or 5 with `TERRANE_LONG_TESTS=1`, or 0.2.
 pub fn seconds() -> f64 {
     let usual = if crate::long_tests() { 5.0 } else { 0.2 };
@@ -17,11 +19,8 @@ pub struct Random(pub u64);
 impl Random {
     /// Returns the next number.
     pub fn next_u64(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        self.0 = self.0.wrapping_add(SplitMix64::GOLDEN_GAMMA);
+        mix64(self.0)
     }
 
     /// Returns a number from 0, below `n`; 0 if `n` is 0.

@@ -74,6 +74,20 @@ struct HowArgs {
     net: NetArgs,
 }
 
+impl ConvertArgs {
+    /// Returns the arguments for servers, and the source that they are for.
+    pub fn net(&self) -> (&NetArgs, &str) {
+        (&self.how.net, &self.source)
+    }
+}
+
+impl CropArgs {
+    /// Returns the arguments for servers, and the source that they are for.
+    pub fn net(&self) -> (&NetArgs, &str) {
+        (&self.how.net, &self.source)
+    }
+}
+
 /// Converts a set.
 pub fn run(args: &ConvertArgs) -> Result<()> {
     convert(&args.source, &args.out, &args.how, ConvertOptions::default(), formats::convert)

@@ -106,7 +106,7 @@ fn fly(args: Box<FlyArgs>, settings: DisplaySettings) -> Result<()> {
     };
     let where_drawn = match (is_asked_offscreen, offscreen) {
         (true, _) => "offscreen",
-        (false, true) => "offscreen, as there is no display",
+        (false, true) => "offscreen, as there is no display,",
         (false, false) => "in a window",
     };
     flight.finish(&mut viewer, where_drawn)

@@ -57,7 +57,7 @@ pub fn run(args: &InfoArgs) -> Result<()> {
         if let Some((file, ([width, height], legend))) = &map {
             let colors = legend.iter().map(|Swatch { color, text }| format!("{text} {}", hex(*color)));
             let colors = colors.collect::<Vec<_>>().join(", ");
-            let _ = writeln!(text, "map      {}, {width} x {height} pixels: {colors}", file.display());
+            let _ = writeln!(text, "map      {}, {width} x {height} pixels; colours: {colors}", file.display());
         }
         text
     };

@@ -297,7 +297,7 @@ trait Bytes: Read + Seek + Send {}
 
 impl<T: Read + Seek + Send> Bytes for T {}
 
-/// What is served at a path.
+/// The content that is served at a path.
 struct Found {
     bytes: Box<dyn Bytes>,
     length: u64,

@@ -19,16 +19,16 @@ pub struct ServeArgs {
     #[arg(long, value_enum, value_name = "PRESET")]
     pub procedural: Option<WorldPreset>,
     /// Body of the planet: earth, moon, mars, or radii in metres as EQUATORxPOLE or XxYxZ
-    #[arg(long, requires = "procedural")]
+    #[arg(long, conflicts_with = "folder")]
     pub body: Option<BodyArg>,
     /// Put trees and rocks on the planet
-    #[arg(long, requires = "procedural")]
+    #[arg(long, conflicts_with = "folder")]
     pub scatter: bool,
     /// Content of the planet's tiles: height or mesh
-    #[arg(long, value_enum, default_value_t, requires = "procedural")]
+    #[arg(long, value_enum, default_value_t, conflicts_with = "folder")]
     pub content: ContentKind,
     /// Description of the planet's tile tree
-    #[arg(long, value_enum, default_value_t, requires = "procedural")]
+    #[arg(long, value_enum, default_value_t, conflicts_with = "folder")]
     pub tiling: Tiling,
     /// Port; 0 selects a free one
     #[arg(long, default_value_t = 8080)]

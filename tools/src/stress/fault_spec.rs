@@ -5,6 +5,10 @@ use std::str::FromStr;
 use super::plan::Faults;
 use crate::values::{amount, share};
 
+/// The names of faults, for errors.
+const NAMES: &str =
+    "names are latency-ms, jitter-ms, bandwidth, error, truncate, corrupt, stall, reset, silent and page";
+
 /// Faults that are written such as `error=0.1,latency-ms=20`, or `none`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FaultSpec(pub Faults);
@@ -15,7 +19,7 @@ impl FromStr for FaultSpec {
     fn from_str(text: &str) -> Result<Self, String> {
         let mut faults = Faults::default();
         for part in text.split(',').filter(|part| !part.is_empty() && *part != "none") {
-            let (name, value) = part.split_once('=').ok_or("expected name=value")?;
+            let (name, value) = part.split_once('=').ok_or_else(|| format!("expected NAME=VALUE; {NAMES}"))?;
             let is_share = !matches!(name, "latency-ms" | "jitter-ms" | "bandwidth");
             let value = if is_share { share(value) } else { amount(value) };
             let value = value.map_err(|what| format!("{name}: {what}"))?;
@@ -30,7 +34,7 @@ impl FromStr for FaultSpec {
                 "reset" => &mut faults.reset,
                 "silent" => &mut faults.silent,
                 "page" => &mut faults.page,
-                _ => return Err(format!("unknown fault {name}")),
+                _ => return Err(format!("unknown fault {name}; {NAMES}")),
             };
             *field = value;
         }

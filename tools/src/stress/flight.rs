@@ -47,7 +47,8 @@ pub fn fly(plan: &Plan, source: &str, is_strict: bool) -> Result<Outcome> {
     flight.all()
 }
 
-/// The state of a flight. Events, checks and the end of the flight all work on the viewer and the lists of its objects.
+/// The state of a flight. It has many fields because events, checks and the end of the flight all work on the viewer and the lists
+/// of its objects.
 pub(super) struct Flight<'a> {
     pub(super) plan: &'a Plan,
     // Fields are dropped in this order: the server must outlive its clients.

@@ -48,6 +48,9 @@ pub fn run(args: StressArgs) -> Result<()> {
     if let Some(file) = &args.report {
         std::fs::File::create(file).with_context(|| file.display().to_string())?;
     }
+    if let Some(source) = args.source.as_deref().filter(|source| !is_remote(source)) {
+        std::fs::metadata(source).with_context(|| source.to_owned())?;
+    }
     match args.seed {
         Some(seed) => one(&args, seed),
         None => many(&args),

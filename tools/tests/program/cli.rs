@@ -111,11 +111,36 @@ fn invalid_arguments_exit_with_2() {
         &["bench", "cull", "--secs", "1e300"],
         &["nonsense"],
         &["view"],
+        &["gen", "set", "--update"],
     ] {
         assert_eq!(terrane(args).status.code(), Some(2), "{args:?}");
     }
     assert_eq!(terrane(&["--help"]).status.code(), Some(0));
     assert_eq!(terrane(&["--version"]).status.code(), Some(0));
+}
+
+/// Regression: clap advised `-- -3` for a negative number, a header without a source was refused after a set was generated, and
+/// options of planets were ignored for a folder.
+#[test]
+fn errors_of_arguments_say_what_is_expected() {
+    for (args, expected) in [
+        (&["fly", "--frames", "-3"][..], "invalid value '-3' for '--frames <N>': -3 is not in 0..=4294967295"),
+        (&["fly", "--lod-fade", "-1"], "expected a number that is not below zero"),
+        (&["gen", "set", "--size", "-5"], "-5 m is not within 100 m and 2,000 km"),
+        (&["serve", ".", "--error-rate", "-1"], "expected a number from 0 to 1"),
+        (&["fly", "--header", "hidden"], "--header needs NAME: VALUE"),
+        (&["fly", "--header", "X: hidden"], "--header and --query need an http(s) URL as the source"),
+        (&["info", "set", "--query", "x=hidden"], "--header and --query need an http(s) URL as the source"),
+        (&["serve", ".", "--body", "mars"], "'[FOLDER]' cannot be used with '--body <BODY>'"),
+        (&["serve", ".", "--tiling", "implicit"], "'[FOLDER]' cannot be used with '--tiling <TILING>'"),
+        (&["stress", "--faults", "rain"], "names are latency-ms, jitter-ms"),
+        (&["fly", "set", "--frames", "0"], "Usage: terrane fly"),
+    ] {
+        let out = terrane(args);
+        let says = String::from_utf8_lossy(&out.stderr);
+        assert!(out.status.code() == Some(2) && says.contains(expected), "{args:?}: {says}");
+        assert!(!says.contains("hidden") && !says.contains("tip:"), "{args:?}: {says}");
+    }
 }
 
 /// Regression: it drew an empty image.
@@ -208,7 +233,7 @@ fn summary_says_why_the_flight_is_offscreen() {
     };
     let (asked, forced) = (flight(&["--offscreen"]), flight(&[]));
     assert!(asked[0].contains("32x18 offscreen on "), "{asked:?}");
-    assert!(forced[0].contains("offscreen, as there is no display"), "{forced:?}");
+    assert!(forced[0].contains("offscreen, as there is no display, on "), "{forced:?}");
     assert!(asked[4].contains("settled on") && asked[4].contains(" triangles, "), "{asked:?}");
 }
 

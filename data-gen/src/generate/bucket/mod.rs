@@ -149,7 +149,7 @@ impl Bucket {
             Some(_) => out.rsplit_once('/').map_or((out, None), |(folder, name)| (folder, Some(name.to_owned()))),
         };
         let out = PathBuf::from(out);
-        let folder = ObjectFolder::open(folder, &HttpConfig::default()).map_err(|e| GenError::remote(&out, &e))?;
+        let folder = ObjectFolder::open(folder, &HttpConfig::default()).map_err(|e| GenError::remote(&args.out, &e))?;
         Ok(Self { folder, archive, out })
     }
 

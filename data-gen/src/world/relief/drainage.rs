@@ -177,7 +177,7 @@ pub(crate) struct Waters {
     pub lakes: Vec<Lake>,
 }
 
-/// What the rivers of a world follow from.
+/// The terrain that the rivers of a world follow from.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Basin<'a> {
     pub relief: &'a Relief,

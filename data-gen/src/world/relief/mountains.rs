@@ -70,7 +70,7 @@ impl Relief {
             // Metres of height for each metre of distance, if amplitudes are heights.
             let rise = amplitude * self.mountain_m / wavelength_m as f32;
             for k in 0..n {
-                // That of both sides of a crest: a damping that ends on the crest would leave a wall there.
+                // Both sides of a crest have one damping: one that ends on the crest would leave a wall there.
                 let damping = 1.0 / (1.0 + 1.5 * s.slope[k]);
                 // Crests lie where the noise changes its sign. They are round, so that gullies continue across them.
                 let from_crest = (s.noise[k] * s.noise[k] + CREST * CREST).sqrt();

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use super::{Scatter, glb_container};
 
-/// What stands on a site.
+/// The kind of model on a site.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Conifer,

@@ -394,7 +394,7 @@ impl Conditions {
     }
 }
 
-/// The shares of the covers of a texel, each laid over those before it.
+/// The shares of the covers of a texel, each laid over those before it. More than 16 fields: one for each cover.
 #[derive(Clone, Copy)]
 struct Shares {
     /// Two mixtures of noise that vary the colours.

@@ -128,7 +128,7 @@ fn bucket_that_refuses_is_one_error_before_work_starts() {
     for (out, more, expected) in [
         ("https://h/set", &[][..], "sets are written to folders and to s3://"),
         ("s3://tiles/set", &["--update"], "--update has no effect without --dem"),
-        ("s3://", &[], "expected the address of a bucket"),
+        ("s3://", &[], "s3://: expected the address of a bucket"),
         ("s3://tiles/set?a", &[], "expected the address of a bucket"),
     ] {
         let output = generate(&buckets, scratch.path(), out, more);

@@ -2,11 +2,10 @@
 
 use std::fs::File;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
-use std::time::SystemTime;
 
-use super::span::{clipped, read_span};
+use super::span::{LocalFile, clipped, read_span};
 use crate::fetch::archive::packed::{
     HEAD_BYTES, IndexPage, PackedDirectory, PackedEntry, PackedHeader, check_content, key_of,
 };
@@ -14,23 +13,20 @@ use crate::fetch::archive::pmtiles::DirectoryCache;
 use crate::fetch::archive::span::Span;
 use crate::fetch::{IoError, Limits};
 
-/// A packed set whose header has been read. It is opened anew for each file, so that it can be replaced.
+/// A packed set whose header has been read.
 #[derive(Debug)]
 pub(crate) struct LocalPacked {
-    path: PathBuf,
+    file: LocalFile,
     directory: PackedDirectory,
     pages: DirectoryCache<Arc<IndexPage>>,
-    length: u64,
-    modified: Option<SystemTime>,
 }
 
 impl LocalPacked {
     pub fn open(path: &Path, limits: &Limits) -> Result<Self, IoError> {
         let uri = path.display().to_string();
         let failed = |e: io::Error| IoError::of_file(&uri, &e);
-        let metadata = std::fs::metadata(path).map_err(failed)?;
-        let mut file = File::open(path).map_err(failed)?;
-        let length = metadata.len();
+        let (archive_file, mut file) = LocalFile::open(path)?;
+        let length = archive_file.length();
         let head = read_span(&mut file, Span { offset: 0, size: length.min(HEAD_BYTES) }).map_err(failed)?;
         let header = PackedHeader::read(&uri, &head, length, limits)?;
         let table = match header.table.slice_of(&head, 0) {
@@ -39,7 +35,7 @@ impl LocalPacked {
         };
         let directory = PackedDirectory::read(&uri, header, &table, length)?;
         let pages = DirectoryCache::new();
-        Ok(Self { path: path.to_path_buf(), directory, pages, length, modified: metadata.modified().ok() })
+        Ok(Self { file: archive_file, directory, pages })
     }
 
     /// Returns the memory that the table and the cached pages take, in bytes.
@@ -49,13 +45,12 @@ impl LocalPacked {
 
     /// Returns false if the file has changed since its header was read.
     pub fn is_current(&self) -> bool {
-        let now = std::fs::metadata(&self.path);
-        now.is_ok_and(|m| m.len() == self.length && m.modified().ok() == self.modified)
+        self.file.is_current()
     }
 
     /// Reads a file and checks its bytes. Errors name `uri`.
     pub fn read(&self, uri: &str, name: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
-        let mut file = File::open(&self.path).map_err(|e| IoError::of_file(uri, &e))?;
+        let mut file = self.file.reopen(uri)?;
         let entry = self.entry(uri, name, &mut file)?;
         self.directory.check_span(uri, &entry, limits)?;
         let bytes = self.read_span(uri, &mut file, entry.span)?;
@@ -65,7 +60,7 @@ impl LocalPacked {
 
     /// Returns the stored size of a file in bytes.
     pub fn size(&self, uri: &str, name: &str) -> Result<u64, IoError> {
-        let mut file = File::open(&self.path).map_err(|e| IoError::of_file(uri, &e))?;
+        let mut file = self.file.reopen(uri)?;
         Ok(self.entry(uri, name, &mut file)?.span.size)
     }
 
@@ -86,7 +81,7 @@ impl LocalPacked {
     }
 
     fn read_span(&self, uri: &str, file: &mut File, span: Span) -> Result<Vec<u8>, IoError> {
-        let bytes = read_span(file, clipped(span, self.length)).map_err(|e| IoError::of_file(uri, &e))?;
+        let bytes = read_span(file, clipped(span, self.file.length())).map_err(|e| IoError::of_file(uri, &e))?;
         if bytes.len() as u64 != span.size {
             return Err(IoError::invalid(uri, "the packed set ends early"));
         }

@@ -1,12 +1,10 @@
 //! A PMTiles archive in a local file.
 
-use std::fs::File;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
-use std::time::SystemTime;
 
-use super::span::{clipped, read_span};
+use super::span::{LocalFile, clipped, read_span};
 use crate::fetch::archive::pmtiles::{
     DirectoryCache, HEAD_BYTES, Lookup, MAX_DIRECTORY_DEPTH, TileDirectory, TileHeader, check_span_size, tile_id,
     too_deep,
@@ -14,24 +12,21 @@ use crate::fetch::archive::pmtiles::{
 use crate::fetch::archive::span::Span;
 use crate::fetch::{IoError, Limits};
 
-/// A PMTiles file whose header has been read. It is opened anew for each tile, so that it can be replaced.
+/// A PMTiles file whose header has been read.
 #[derive(Debug)]
 pub(crate) struct LocalPmtiles {
-    path: PathBuf,
+    file: LocalFile,
     header: TileHeader,
     root: TileDirectory,
     leaves: DirectoryCache<Arc<TileDirectory>>,
-    length: u64,
-    modified: Option<SystemTime>,
 }
 
 impl LocalPmtiles {
     pub fn open(path: &Path, limits: &Limits) -> Result<Self, IoError> {
         let uri = path.display().to_string();
         let failed = |e: io::Error| IoError::of_file(&uri, &e);
-        let metadata = std::fs::metadata(path).map_err(failed)?;
-        let mut file = File::open(path).map_err(failed)?;
-        let length = metadata.len();
+        let (archive_file, mut file) = LocalFile::open(path)?;
+        let length = archive_file.length();
         let head = read_span(&mut file, Span { offset: 0, size: length.min(HEAD_BYTES) }).map_err(failed)?;
         let header = TileHeader::read(&uri, &head)?;
         check_span_size(&uri, header.root, limits)?;
@@ -41,7 +36,7 @@ impl LocalPmtiles {
         };
         let root = header.directory(&uri, root, limits)?;
         let leaves = DirectoryCache::new();
-        Ok(Self { path: path.to_path_buf(), header, root, leaves, length, modified: metadata.modified().ok() })
+        Ok(Self { file: archive_file, header, root, leaves })
     }
 
     /// Returns the memory that the cached directories take, in bytes.
@@ -51,8 +46,7 @@ impl LocalPmtiles {
 
     /// Returns false if the file has changed since its header was read.
     pub fn is_current(&self) -> bool {
-        let now = std::fs::metadata(&self.path);
-        now.is_ok_and(|m| m.len() == self.length && m.modified().ok() == self.modified)
+        self.file.is_current()
     }
 
     /// Reads and decompresses a tile. Errors name `uri`.
@@ -92,8 +86,8 @@ impl LocalPmtiles {
     }
 
     fn read_span(&self, uri: &str, span: Span) -> Result<Vec<u8>, IoError> {
-        let mut file = File::open(&self.path).map_err(|e| IoError::of_file(uri, &e))?;
-        let bytes = read_span(&mut file, clipped(span, self.length)).map_err(|e| IoError::of_file(uri, &e))?;
+        let mut file = self.file.reopen(uri)?;
+        let bytes = read_span(&mut file, clipped(span, self.file.length())).map_err(|e| IoError::of_file(uri, &e))?;
         if bytes.len() as u64 != span.size {
             return Err(IoError::invalid(uri, "the archive ends early"));
         }

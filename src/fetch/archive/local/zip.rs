@@ -1,12 +1,10 @@
 //! A zip archive in a local file. The pager's file threads; calls block.
 
-use std::fs::File;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::OnceLock;
-use std::time::SystemTime;
 
-use super::span::{clipped, read_span};
+use super::span::{LocalFile, clipped, read_span};
 use crate::fetch::archive::span::Span;
 use crate::fetch::archive::zip::{
     DAMAGED_NAMES, DirectoryEnd, MAX_HEADER_BYTES, Member, TAIL_BYTES, ZipDirectory, ZipIndex, check_member,
@@ -14,26 +12,23 @@ use crate::fetch::archive::zip::{
 };
 use crate::fetch::{IoError, Limits};
 
-/// A zip archive whose directory or index has been read. The file is opened anew for each member, so that it can be replaced.
+/// A zip archive whose directory or index has been read.
 #[derive(Debug)]
 pub(crate) struct LocalZip {
-    path: PathBuf,
+    file: LocalFile,
     /// The span of the directory. Members lie before it.
     directory_span: Span,
     index: Option<ZipIndex>,
     /// Read if there is no index, or if the index does not lead to a file. Several threads may read it at the same time.
     directory: OnceLock<ZipDirectory>,
-    length: u64,
-    modified: Option<SystemTime>,
 }
 
 impl LocalZip {
     pub fn open(path: &Path, limits: &Limits) -> Result<Self, IoError> {
         let uri = path.display().to_string();
         let failed = |e: io::Error| IoError::of_file(&uri, &e);
-        let metadata = std::fs::metadata(path).map_err(failed)?;
-        let mut file = File::open(path).map_err(failed)?;
-        let length = metadata.len();
+        let (archive_file, mut file) = LocalFile::open(path)?;
+        let length = archive_file.length();
         let start = length.saturating_sub(TAIL_BYTES);
         let tail = read_span(&mut file, Span { offset: start, size: length - start }).map_err(failed)?;
         let (directory_span, files) = match DirectoryEnd::find(&uri, &tail, start)? {
@@ -48,15 +43,7 @@ impl LocalZip {
                 }
             }
         };
-        let modified = metadata.modified().ok();
-        let mut archive = Self {
-            path: path.to_path_buf(),
-            directory_span,
-            index: None,
-            directory: OnceLock::new(),
-            length,
-            modified,
-        };
+        let mut archive = Self { file: archive_file, directory_span, index: None, directory: OnceLock::new() };
         if let Some(bytes) = directory_span.slice_of(&tail, start) {
             let _ = archive.directory.set(ZipDirectory::read(&uri, bytes.to_vec(), directory_span.offset, limits)?);
         }
@@ -82,8 +69,7 @@ impl LocalZip {
 
     /// Returns false if the file has changed since its directory was read.
     pub fn is_current(&self) -> bool {
-        let now = std::fs::metadata(&self.path);
-        now.is_ok_and(|m| m.len() == self.length && m.modified().ok() == self.modified)
+        self.file.is_current()
     }
 
     /// Reads and decompresses a member. Errors name `uri`.
@@ -109,7 +95,7 @@ impl LocalZip {
         let Some(span) = span.filter(|s| s.size <= limits.max_file_bytes.saturating_add(MAX_HEADER_BYTES)) else {
             return Ok(None);
         };
-        let mut file = File::open(&self.path).map_err(|e| IoError::of_file(uri, &e))?;
+        let mut file = self.file.reopen(uri)?;
         let piece = read_span(&mut file, span).map_err(|e| IoError::of_file(uri, &e))?;
         let Some(member) = local_header(&piece, span.offset, name) else { return Ok(None) };
         check_member(uri, &member, limits)?;
@@ -119,7 +105,7 @@ impl LocalZip {
     fn read_by_directory(&self, uri: &str, name: &str, limits: &Limits) -> Result<(Member, Vec<u8>), IoError> {
         let member = self.find(uri, name, limits)?;
         let span = member_span(uri, &member, self.directory_span.offset, limits)?;
-        let mut file = File::open(&self.path).map_err(|e| IoError::of_file(uri, &e))?;
+        let mut file = self.file.reopen(uri)?;
         let mut piece = read_span(&mut file, span).map_err(|e| IoError::of_file(uri, &e))?;
         let data = content_range(uri, &member, &piece)?;
         if data.end > piece.len() as u64 {
@@ -147,9 +133,9 @@ impl LocalZip {
             let (got, limit) = (self.directory_span.size, limits.max_file_bytes);
             return Err(IoError::TooLarge { uri: uri.to_owned(), what: "directory of an archive", got, limit });
         }
-        let mut file = File::open(&self.path).map_err(|e| IoError::of_file(uri, &e))?;
-        let bytes =
-            read_span(&mut file, clipped(self.directory_span, self.length)).map_err(|e| IoError::of_file(uri, &e))?;
+        let mut file = self.file.reopen(uri)?;
+        let bytes = read_span(&mut file, clipped(self.directory_span, self.file.length()))
+            .map_err(|e| IoError::of_file(uri, &e))?;
         let directory = ZipDirectory::read(uri, bytes, self.directory_span.offset, limits)?;
         Ok(self.directory.get_or_init(|| directory))
     }

@@ -147,7 +147,7 @@ impl Builder<'_> {
 
 /// Returns a drawable whose vertices are mapped.
 fn moved(mut drawable: Drawable, map: &DAffine3) -> Drawable {
-    // What a reader knew of the vertices is not true any more.
+    // The normal cone and the hash of the geometry do not hold any more.
     (drawable.cluster, drawable.shared.geometry) = (None, None);
     if let Geometry::Mesh(mesh) = &mut drawable.geometry {
         let mut turned = Mesh::clone(mesh);

@@ -64,7 +64,7 @@ impl UvSet {
 /// The texture coordinates of a mesh.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(super) struct UvSets {
-    /// Those of the vertices.
+    /// The coordinates of the vertices.
     pub first: UvSet,
     /// The second ones, if they differ.
     pub second: Option<UvSet>,

@@ -41,7 +41,7 @@ impl Unit {
     }
 }
 
-/// What the units show.
+/// The parts of a material that texture units make.
 #[derive(Default)]
 pub(super) struct Units {
     /// The texture of the base colour.
@@ -52,7 +52,7 @@ pub(super) struct Units {
     pub fixed: Vec<(Unit, TexEnv)>,
     /// True if a texture replaces the lit colour of the surface.
     pub replaces_light: bool,
-    /// What is not drawn.
+    /// Names of the features that are not drawn.
     pub left_out: Vec<&'static str>,
 }
 

@@ -14,7 +14,7 @@ const MIN_OVERLAP: f64 = 1e-2;
 /// The edge of a tile.
 struct Edge {
     uri: Arc<str>,
-    /// Where it lies across its direction.
+    /// Its position across its direction.
     across: f64,
     profile: Profile,
     /// The declared error of its tile, metres.

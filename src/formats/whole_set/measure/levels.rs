@@ -50,13 +50,13 @@ pub struct LevelMeasures {
 /// A kind of error of a set, with the tiles that have it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Problem {
-    /// What is wrong.
+    /// The name of the problem.
     pub kind: String,
     /// Number of tiles.
     pub count: u64,
     /// The URI of the first tile, without secrets.
     pub uri: String,
-    /// What was measured there.
+    /// The measurement there.
     pub detail: String,
 }
 
@@ -64,7 +64,7 @@ pub struct Problem {
 #[derive(Default)]
 pub(super) struct LevelSums {
     pub measures: LevelMeasures,
-    /// Of each tile; four bytes a tile, as in the next list.
+    /// The bytes of each tile; an entry takes four, as in the next list.
     bytes: Vec<u32>,
     triangles: Vec<u32>,
 }

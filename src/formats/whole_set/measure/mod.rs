@@ -47,7 +47,7 @@ const MIN_SHARED_POINTS: usize = 8_000;
 /// The kind of problem of a content that its tile's volume does not contain.
 const OUTSIDE: &str = "content outside of the bounding volume of its tile";
 
-/// What a tile declares.
+/// The declarations of a tile.
 pub(super) struct Declared {
     pub uri: Arc<str>,
     pub level: u32,

@@ -17,7 +17,7 @@ use crate::state::{FilterMode, WrapMode};
 /// The quality of JPEG files of texels that came from no file, 1 to 100.
 const JPEG_QUALITY: u8 = 90;
 
-/// What the texels of a texture are.
+/// The meaning of the texels of a texture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Texels {
     /// Colours, which JPEG may blur.

@@ -247,7 +247,7 @@ impl Writer<'_> {
         let Self { buffers, images, materials, features, notes, meshes, has_quantized, has_splats, .. } = self;
         (0..materials.overlays).for_each(|_| notes.add("raster overlays"));
         let mut used: Vec<&str> = materials.extensions.clone();
-        // What draws wrong without them.
+        // Clients without these extensions would draw wrong.
         let mut required: Vec<&str> = images.extensions.clone();
         required.extend(has_quantized.then_some("KHR_mesh_quantization"));
         required.extend(buffers.has_compressed().then_some(buffers::MESHOPT));
