@@ -36,6 +36,17 @@ fn effects_and_groups_keep_their_children() {
 }
 
 #[test]
+fn rigs_without_vertices_show_their_source() {
+    let rig = format!(
+        "osgAnimation::RigGeometry {{ UniqueID 2 InfluenceMap 1 {{ VertexInfluence \"bone\" 2 {{ 0 1 1 0.5 }} }}
+        SourceGeometry TRUE {{ {} }} More {{ 1 }} }}",
+        triangle(11, "")
+    );
+    let (node, ignored) = read(osgt(VERSION, &geode(1, "", &[rig])));
+    assert_eq!(mesh(drawables(&node)[0]).vertices.len(), 3, "{ignored:?}");
+}
+
+#[test]
 fn multi_switches_show_their_active_set() {
     let sets = "Values 2 { SwitchSet 2 { TRUE FALSE } SwitchSet 1 { FALSE } } ValueNames 2 { a \"b }\" }";
     for (members, expected) in [
