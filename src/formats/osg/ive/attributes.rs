@@ -109,6 +109,13 @@ impl Reader<'_> {
                 self.floats::<7>()?;
                 AttributeObject::Other("Point")
             }
+            _ => return self.lighting(class),
+        }))
+    }
+
+    /// Reads the members of lights, clip planes, fog and further attributes of pixels; `None` for classes that are read over.
+    fn lighting(&mut self, class: u32) -> Result<Option<AttributeObject>> {
+        Ok(Some(match class {
             ids::LIGHT_MODEL => {
                 let (two_sided, local_viewer) = (self.boolean()?, self.boolean()?);
                 let ambient = self.floats()?;
