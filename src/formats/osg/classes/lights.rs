@@ -1,4 +1,4 @@
-//! The members of lights, clip planes and fog, of the nodes that place them, and of further attributes of pixels.
+//! The members of lights, clip planes and fog, of their nodes, and of further attributes of pixels. Decode threads.
 
 use super::Reader;
 use crate::formats::osg::error::Result;

@@ -26,8 +26,8 @@ impl Builder<'_> {
         Ok(Node { children: self.children(&object.children)?, ..Node::new(kind) })
     }
 
-    /// Returns a light; `None`, noted, if it is not drawn. Light 0 is that of OSG's viewer unless a file replaces it. The sun
-    /// and the sky take its place, so that one file does not change the light of a whole scene.
+    /// Returns a light; `None`, noted, if it is not drawn. Light 0 is that of OSG's viewer unless a file replaces it. Here sun
+    /// and sky are light 0, so that one file does not change the light of a whole scene.
     pub(super) fn light(&self, light: &LightObject) -> Option<Light> {
         let made = light_of(light);
         match made {

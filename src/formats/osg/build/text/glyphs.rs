@@ -52,7 +52,7 @@ pub(super) struct Letter {
 /// A texture with its letters.
 pub(super) struct LetterPage {
     letters: HashMap<char, Letter>,
-    /// The texture coordinates of a place that is covered.
+    /// The texture coordinates of a texel whose coverage is full.
     pub covered_uv: [f32; 2],
     pub texture: Arc<Texture>,
 }
