@@ -7,7 +7,6 @@ use super::input::Names;
 
 // The notes about texts that are drawn otherwise than by OSG.
 pub(super) const LAYOUTS: &str = "OpenSceneGraph: layout of a text (it is drawn from left to right)";
-pub(super) const BOXES: &str = "OpenSceneGraph: box of a text (not drawn)";
 pub(super) const GRADIENTS: &str = "OpenSceneGraph: gradient of a text's colours (it has one colour)";
 pub(super) const FADING: &str = "OpenSceneGraph class osgText::FadeText (it does not fade)";
 pub(super) const SOLIDS: &str = "OpenSceneGraph class osgText::Text3D (it is flat)";
@@ -66,6 +65,10 @@ const OUTLINE: u32 = 8;
 pub(super) const NO_BACKDROP: u32 = 9;
 /// The number of the mode of drawing in which there are letters and nothing else.
 pub(super) const LETTERS_ALONE: u32 = 1;
+/// The bits of what else is drawn: the outline of a box, its inside, and a cross at the position.
+pub(super) const BOX_OUTLINE: u32 = 2;
+pub(super) const BOX_FILLED: u32 = 4;
+pub(super) const CROSS: u32 = 8;
 
 /// The members of a Text, FadeText or Text3D. Lengths in the units of its node, or in pixels.
 #[derive(Debug)]
@@ -92,6 +95,12 @@ pub(super) struct TextObject {
     /// The displayed colour, sRGB, 0 to 1.
     pub color: [f32; 4],
     pub backdrop: Backdrop,
+    /// The bits of what is drawn: the letters ([`LETTERS_ALONE`]), a box and a cross.
+    pub draw_mode: u32,
+    /// The distance of the box from the letters.
+    pub box_margin: f64,
+    /// The displayed colour of the inside of the box, sRGB, 0 to 1.
+    pub box_color: [f32; 4],
 }
 
 /// The shadow or the outline behind the letters of a text.
@@ -158,11 +167,19 @@ impl Default for TextObject {
             max_width: 0.0,
             color: [1.0; 4],
             backdrop: Backdrop::default(),
+            draw_mode: LETTERS_ALONE,
+            box_margin: 0.0,
+            box_color: [0.0, 0.0, 0.0, 0.5],
         }
     }
 }
 
 impl TextObject {
+    /// Returns true if a bit of the mode of drawing is set.
+    pub fn draws(&self, bit: u32) -> bool {
+        self.draw_mode & bit != 0
+    }
+
     /// Returns true if the size is not that of the node alone.
     pub fn is_sized_by_screen(&self) -> bool {
         matches!(self.size_mode, 1 | 2)

@@ -67,8 +67,13 @@ fn osg() -> Parser {
                 .to_owned(),
             "osg::Geode { UniqueID 90 Drawables 1 { osgText::Text { UniqueID 91 Font \"a.ttf\" FontSize 32 32 CharacterSize 3 1
             CharacterSizeMode SCREEN_COORDS MaximumWidth 9 LineSpacing 0.5 Text FALSE osg::UIntArray { UniqueID 92 vector 3 {
-            65 10 214 } } Position 1 2 3 Alignment CENTER_TOP AxisAlignment XZ_PLANE Rotation 1 0 0 0 Color 1 0 0 1
-            BackdropType OUTLINE BackdropOffset 0.1 0.1 BackdropColor 0 0 0 1 } } }"
+            65 10 214 } } Position 1 2 3 Alignment CENTER_TOP AxisAlignment XZ_PLANE Rotation 1 0 0 0
+            DrawMode TEXT|BOUND|FILLED|ALIGNMENT BoundingBoxMargin 1 BoundingBoxColor 0 0 1 1 Color 1 0 0 1 BackdropType OUTLINE BackdropOffset 0.1 0.1 BackdropColor 0 0 0 1 } } }"
+                .to_owned(),
+            "osg::ClipNode { UniqueID 110 StateSet TRUE { osg::StateSet { UniqueID 111 ModeList 1 { GL_FOG ON } AttributeList 2 {
+            osg::Fog { UniqueID 112 Color 1 0 0 1 } Value OFF osg::LightModel { UniqueID 113 TwoSided TRUE } Value OFF } } }
+            Children 1 { osg::LightSource { UniqueID 114 Light TRUE { osg::Light { UniqueID 115 LightNum 1 Position 0 0 1 0 } } } }
+            ClipPlaneList 1 { osg::ClipPlane { UniqueID 116 ClipPlane 1 0 0 1 } } }"
                 .to_owned(),
             "osg::Sequence { UniqueID 95 Children 1 { osg::MatrixTransform { UniqueID 96 UpdateCallback TRUE {
             osg::AnimationPathCallback { UniqueID 97 AnimationPath TRUE { osg::AnimationPath { UniqueID 98 TimeControlPointMap 1 {

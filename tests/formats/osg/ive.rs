@@ -1,5 +1,6 @@
 //! Files in .ive, in all versions and both byte orders, compared with the same scenes in text.
 
+use glam::DVec4;
 use kit::ive_files::scenes::{paged, terrain_tile, textured, unusual_nodes};
 use kit::ive_files::{GEODE, Ive, VERSION};
 use kit::osg_files::{VERSION as TEXT_VERSION, geode, group, osgt, triangle};
@@ -272,8 +273,6 @@ fn images_are_read_in_every_mode() {
 fn classes_that_are_not_drawn_are_read_over_and_counted() {
     let children = |class: &str| (format!("OpenSceneGraph class {class} (its children are drawn)"), 1);
     let mut expected = [
-        "osg::ClipNode",
-        "osg::LightSource",
         "osg::OccluderNode",
         "osg::OcclusionQueryNode",
         "osg::TexGenNode",
@@ -285,6 +284,7 @@ fn classes_that_are_not_drawn_are_read_over_and_counted() {
     .map(children)
     .to_vec();
     expected.push(("OpenSceneGraph class osg::Camera".to_owned(), 1));
+    expected.push(("OpenSceneGraph: light 0 of a file (the environment's light takes its place)".to_owned(), 1));
     if !cfg!(feature = "text") {
         expected.push(("OpenSceneGraph class osgText::Text".to_owned(), 1));
     }
@@ -295,6 +295,10 @@ fn classes_that_are_not_drawn_are_read_over_and_counted() {
         assert_eq!(found, expected, "version {version}");
         let count = 16 + usize::from(cfg!(feature = "text"));
         assert_eq!((node.children.len(), drawables(&node).len()), (16, count), "version {version}");
+        assert!(matches!(&node.children[0].kind, NodeKind::Group), "light 0 is the environment's");
+        assert!(
+            matches!(&node.children[1].kind, NodeKind::ClipNode(clip) if clip.planes == [(0, DVec4::new(0.0, 0.0, 1.0, 5.0))])
+        );
         let shown = |child: usize| match &node.children[child].kind {
             NodeKind::Switch(shown) => shown.clone(),
             kind => panic!("{kind:?}"),
@@ -393,27 +397,27 @@ fn light_points_and_moving_parts_are_placed() {
 #[test]
 fn attributes_that_are_not_drawn_are_read_over_and_counted() {
     let floats = |count: usize| vec![0u8; 4 * count];
-    // Class, bytes of its members, and what is counted.
+    // Class, bytes of its members, and what is counted; nothing for those that are drawn.
     let classes: [(u32, Vec<u8>, &str); 19] = [
-        (0x105, floats(4), "class osg::BlendColor"),
-        (0x134, floats(2), "class osg::BlendEquation"),
+        (0x105, floats(4), ""),
+        (0x134, [6u32, 6].map(|equation| (0x8000 + equation).to_le_bytes()).concat(), ""),
         (0x131, floats(7), "class osg::Stencil"),
         (0x132, floats(14), "class osg::StencilTwoSided"),
         (0x1127, floats(4), "class osg::Viewport"),
         (0x1128, floats(4), "class osg::Scissor"),
-        (0x1129, floats(2), "class osg::PolygonMode"),
+        (0x1129, floats(2), ""),
         (0x1131, floats(1), "class osg::PointSprite"),
         (0x1132, vec![0; 9], "class osg::Multisample"),
-        (0x1133, floats(9), "class osg::Fog"),
+        (0x1133, floats(9), ""),
         (0x1134, vec![0; 6], "class osg::LineStipple"),
         (0x1135, [&[3, 0, 0, 0][..], &[7; 3]].concat(), "class osg::PolygonStipple"),
-        (0x1122, vec![0; 36], "class osg::ClipPlane"),
+        (0x1122, vec![0; 36], ""),
         (0x12e, floats(2), "class osg::FragmentProgram"),
         (0x12f, floats(1), "class osg::VertexProgram"),
         (0x12a, floats(1), "attribute ShadeModel"),
         (0x12b, floats(7), "attribute Point"),
         (0x12d, floats(1), "attribute LineWidth"),
-        (0x1121, vec![0; 22], "attribute LightModel"),
+        (0x1121, vec![0; 22], ""),
     ];
     let mut file = Ive::new(VERSION);
     file.u32s(&[0, GEODE]).node_with("", |file| {
@@ -437,7 +441,9 @@ fn attributes_that_are_not_drawn_are_read_over_and_counted() {
     });
     file.u32(1).triangle(0);
     let (node, ignored) = read(&file.bytes);
-    for (_, _, counted) in &classes {
+    let left_out: Vec<&str> =
+        classes.iter().map(|(.., counted)| *counted).filter(|counted| !counted.is_empty()).collect();
+    for counted in &left_out {
         let kind = if counted.starts_with("class") {
             format!("OpenSceneGraph {counted}")
         } else {
@@ -446,7 +452,10 @@ fn attributes_that_are_not_drawn_are_read_over_and_counted() {
         assert_eq!(ignored.count(&kind), 1, "{kind}: {ignored:?}");
     }
     assert_eq!(ignored.count("OpenSceneGraph: shader programs in GLSL (not run)"), 1);
-    assert_eq!((ignored.iter().count(), drawables(&node).len()), (classes.len() + 1, 1));
+    assert_eq!((ignored.iter().count(), drawables(&node).len()), (left_out.len() + 1, 1));
+    let drawn = &node.state_set.as_ref().unwrap().attributes;
+    // Fog is off without its mode.
+    assert_eq!(drawn.len(), classes.len() - left_out.len() - 1, "{drawn:?}");
     assert_eq!(node.state_set.as_ref().unwrap().bin.as_ref().map(|bin| bin.number), Some(3));
 }
 

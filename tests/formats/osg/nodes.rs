@@ -1,8 +1,11 @@
 //! Nodes: transforms, switches, levels of detail, tiles and proxies.
 
-use glam::DVec3;
+use glam::{DVec3, DVec4};
 use terrane::math::BoundingVolume;
-use terrane::scene::{IntersectionVisitor, LineSegmentIntersector, Page, ProxyLoading, RangeMode, Scene, UpdateInfo};
+use terrane::scene::{
+    IntersectionVisitor, LineSegmentIntersector, Page, ProxyLoading, RangeMode, ReferenceFrame, Scene, UpdateInfo,
+};
+use terrane::state::{Light, Mode, StateValue};
 
 use super::*;
 use kit::osg_files::{Osgb, VERSION, geode, group, osgt, triangle};
@@ -354,4 +357,50 @@ fn binary_paths_are_read() {
                 && node.update_callback.is_some()
         );
     }
+}
+
+/// A light, a clip plane and a geode below them, in both text formats.
+const LIT: [&str; 2] = [
+    "osg::Group { UniqueID 1 StateSet TRUE { osg::StateSet { UniqueID 2 ModeList 2 { GL_LIGHT1 ON GL_CLIP_PLANE2 ON } } }
+    Children 2 {
+        osg::LightSource { UniqueID 3 Light TRUE { osg::Light { UniqueID 4 LightNum 1 Ambient 0 0 0 1 Diffuse 1 0 0 1
+            Specular 0 0 1 1 Position 1 2 3 1 Direction 0 1 0 LinearAttenuation 0.5 SpotExponent 2 SpotCutoff 45 } } }
+        osg::ClipNode { UniqueID 5 Children 1 { osg::Group { UniqueID 6 } }
+            ClipPlaneList 1 { osg::ClipPlane { UniqueID 7 ClipPlane 1 0 0 -8 ClipPlaneNum 2 } } ReferenceFrame ABSOLUTE_RF } } }",
+    "Group {\n StateSet {\n GL_LIGHT1 ON\n GL_CLIP_PLANE2 ON\n }\n num_children 2\n LightSource {\n referenceFrame RELATIVE\n
+    Light {\n light_num 1\n ambient 0 0 0 1\n diffuse 1 0 0 1\n specular 0 0 1 1\n position 1 2 3 1\n direction 0 1 0\n
+    linear_attenuation 0.5\n spot_exponent 2\n spot_cutoff 45\n }\n }\n ClipNode {\n referenceFrame ABSOLUTE\n
+    ClipPlane {\n clipPlaneNum 2\n plane 1 0 0 -8\n }\n Group {\n }\n }\n }\n",
+];
+
+#[test]
+fn lights_and_clip_planes_have_their_place() {
+    let light = Light {
+        number: 1,
+        position: [1.0, 2.0, 3.0, 1.0],
+        direction: [0.0, 1.0, 0.0],
+        diffuse: [1.0, 0.0, 0.0],
+        specular: [0.0, 0.0, 1.0],
+        attenuation: [1.0, 0.5, 0.0],
+        spot_cutoff: std::f32::consts::FRAC_PI_4,
+        spot_exponent: 2.0,
+        ..Light::default()
+    };
+    for (text, is_new) in [(osgt(VERSION, LIT[0]), true), (LIT[1].to_owned(), false)] {
+        let (node, ignored) = read(text);
+        assert!(ignored.is_empty(), "{is_new}: {ignored:?}");
+        let modes = &node.state_set.as_ref().unwrap().modes;
+        for mode in [Mode::Light(1), Mode::ClipPlane(2)] {
+            assert!(modes.contains(&(mode, StateValue::ON)), "{is_new}: {modes:?}");
+        }
+        let NodeKind::LightSource(source) = &node.children[0].kind else { panic!("{is_new}: {node:?}") };
+        assert_eq!((source.light, source.frame), (light, ReferenceFrame::Relative), "{is_new}");
+        let NodeKind::ClipNode(clip) = &node.children[1].kind else { panic!("{is_new}: {node:?}") };
+        assert_eq!(clip.planes, [(2, DVec4::new(1.0, 0.0, 0.0, -8.0))], "{is_new}");
+        assert_eq!((clip.frame, node.children[1].children.len()), (ReferenceFrame::Absolute, 1), "{is_new}");
+    }
+    // OpenGL's fixed function has eight lights and six planes.
+    let (node, ignored) = read(osgt(VERSION, &LIT[0].replace("LightNum 1", "LightNum 8").replace("Num 2", "Num 6")));
+    assert!(node.children.iter().all(|child| matches!(child.kind, NodeKind::Group)), "{node:?}");
+    assert_eq!(ignored.iter().count(), 2, "{ignored:?}");
 }

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use base64::Engine as _;
 use terrane::scene::{AlphaMode, OverlayMode, SecondUv, Texture};
 use terrane::state::{
-    Attribute, BinDetails, BlendFactor, CompareFunction, CullFace, FilterMode, Mode, SortMode, StateSet, StateValue,
-    WrapMode,
+    Attribute, BinDetails, BlendEquation, BlendFactor, CompareFunction, CullFace, FilterMode, Fog, FogMode, LightModel,
+    Mode, PolygonMode, SortMode, StateSet, StateValue, WrapMode,
 };
 
 use super::*;
@@ -54,6 +54,40 @@ fn modes_attributes_and_bins_keep_their_flags() {
     // A hint alone selects a bin too.
     let (node, _) = with_state("RenderingHint 2");
     assert_eq!(self::set(&node).bin, Some(BinDetails::TRANSPARENT));
+}
+
+#[test]
+fn fog_and_light_models_are_state() {
+    let attributes = "AttributeList 5 {
+        osg::Fog { UniqueID 3 Mode EXP Density 0.5 Color 1 0 0 1 FogCoordinateSource DEPTH } Value OFF
+        osg::LightModel { UniqueID 4 AmbientIntensity 1 1 0 1 ColorControl SEPARATE_SPECULAR_COLOR TwoSided TRUE } Value OFF
+        osg::PolygonMode { UniqueID 5 Mode UseFrontAndBack TRUE Front LINE Back LINE } Value OFF
+        osg::BlendColor { UniqueID 6 ConstantColor 0 1 0 0.5 } Value OFF
+        osg::BlendEquation { UniqueID 7 EquationRGB RGBA_MAX EquationAlpha RGBA_MAX } Value OFF }";
+    let (node, ignored) = with_state(&format!("ModeList 1 {{ GL_FOG ON }} {attributes}"));
+    assert!(ignored.is_empty(), "{ignored:?}");
+    let fog = Fog { mode: FogMode::Exp { density_per_m: 0.5 }, color: [1.0, 0.0, 0.0] };
+    let model = LightModel {
+        ambient: [1.0, 1.0, 0.0],
+        two_sided: true,
+        color_control: terrane::state::ColorControl::SeparateSpecularColor,
+        ..LightModel::default()
+    };
+    let expected = [
+        Attribute::Fog(fog),
+        Attribute::LightModel(model),
+        Attribute::PolygonMode(PolygonMode::Line),
+        Attribute::BlendColor([0.0, 1.0, 0.0, 0.5]),
+        Attribute::BlendEquation(BlendEquation::Max),
+    ];
+    let found: Vec<Attribute> = set(&node).attributes.iter().map(|(attribute, _)| attribute.clone()).collect();
+    assert_eq!(found, expected);
+    // OSG's fog needs its mode, while the haze of the environment stays on.
+    for modes in ["", "ModeList 1 { GL_FOG OFF }"] {
+        let (node, _) = with_state(&format!("{modes} {attributes}"));
+        let set = set(&node);
+        assert_eq!((set.attributes.len(), set.modes.len()), (4, 0), "{modes}: {set:?}");
+    }
 }
 
 #[test]

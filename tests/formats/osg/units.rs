@@ -89,7 +89,10 @@ fn square_parts(units: &[UnitText]) -> [String; 2] {
         let count = points.split('\n').filter(|point| !point.is_empty()).count();
         uvs += &match count {
             0 => "NULL ".to_owned(),
-            _ => format!("osg::Vec2Array {{ UniqueID {} vector {count} {{ {points} }} }} ", 800 + number),
+            _ => {
+                let width = points.split('\n').next().map_or(0, |point| point.split_whitespace().count());
+                format!("osg::Vec{width}Array {{ UniqueID {} vector {count} {{ {points} }} }} ", 800 + number)
+            }
         };
     }
     let count = units.len();
@@ -228,6 +231,24 @@ fn cube_maps_are_seen_in_the_direction_of_reflections_and_normals() {
     let (node, ignored) = read(square(&cube("Mode NORMAL_MAP")));
     assert!(ignored.is_empty(), "{ignored:?}");
     assert!(matches!(state(&node).unwrap().attributes[1].0, Attribute::TexGen(0, TexGen::NormalMap)));
+}
+
+#[test]
+fn volumes_are_cut_at_their_third_coordinate() {
+    let volume = || {
+        let texels = [QUARTERS, [BLUE; 4]].concat();
+        let mut unit = unit_of("Texture3D", "GL_TEXTURE_3D", 100, &texels);
+        unit.texture = unit.texture.replace("Size 8 1 1", "Size 2 2 2");
+        unit
+    };
+    for (r, expected) in [(0.25, QUARTERS), (0.75, [BLUE; 4])] {
+        let planes = format!("Mode OBJECT_LINEAR {PLANES} PlaneR 0 0 0 {r}");
+        assert_quarters(&[volume().generated(&planes)], expected);
+    }
+    assert_quarters(&[volume().with_uvs("0 0 0.25 \n 1 0 0.25 \n 1 1 0.25 \n 0 1 0.25")], QUARTERS);
+    assert_color(&[volume().with_uvs("0 0 0.75 \n 1 0 0.75 \n 1 1 0.75 \n 0 1 0.75")], BLUE);
+    let (_, ignored) = read(square(&[volume().with_uvs("0 0 0 \n 1 0 0 \n 1 1 1 \n 0 1 1")]));
+    assert_eq!(ignored.count("OpenSceneGraph: volume whose third coordinate varies (its front is drawn)"), 1);
 }
 
 #[test]

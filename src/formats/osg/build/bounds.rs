@@ -69,7 +69,12 @@ fn of_node(node: &NodeObject, known: &mut Spheres) -> BoundingSphere {
         spheres.fold(BoundingSphere::EMPTY, |all, sphere| all.union(&sphere))
     };
     match &node.class {
-        NodeClass::Group | NodeClass::Switch(_) | NodeClass::Sequence(_) | NodeClass::CoordinateSystem(_) => children(),
+        NodeClass::Group
+        | NodeClass::Switch(_)
+        | NodeClass::Sequence(_)
+        | NodeClass::CoordinateSystem(_)
+        | NodeClass::Light { .. }
+        | NodeClass::Clip { .. } => children(),
         NodeClass::Terrain(settings, _) => {
             let above = std::mem::replace(&mut known.terrain, *settings);
             let spheres = node.children.iter().map(|child| sphere(child, known));

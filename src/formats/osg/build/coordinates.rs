@@ -87,6 +87,11 @@ impl Coordinates {
         Self { matrix: scale * self.matrix, ..self }
     }
 
+    /// Returns the coordinates of a geometry whose r, which meshes lack, is the same everywhere.
+    pub fn at_depth(self, r: f64) -> Self {
+        Self { matrix: self.matrix * DMat4::from_translation(DVec3::new(0.0, 0.0, r)), ..self }
+    }
+
     /// Returns true if the geometry must have coordinates.
     pub fn needs_uvs(&self) -> bool {
         self.source == CoordinateSource::Geometry

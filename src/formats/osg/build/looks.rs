@@ -13,6 +13,9 @@ pub(super) const GL_LIGHTING: u32 = 0xb50;
 pub(super) const GL_DEPTH_TEST: u32 = 0xb71;
 pub(super) const GL_ALPHA_TEST: u32 = 0xbc0;
 pub(super) const GL_BLEND: u32 = 0xbe2;
+pub(super) const GL_FOG: u32 = 0xb60;
+pub(super) const GL_LIGHT0: u32 = 0x4000;
+pub(super) const GL_CLIP_PLANE0: u32 = 0x3000;
 /// OpenGL's comparisons.
 const GL_GREATER: u32 = 0x204;
 const GL_GEQUAL: u32 = 0x206;
@@ -29,6 +32,8 @@ pub(super) struct Look {
     /// Comparison and reference.
     alpha_test: Option<(u32, f32)>,
     material: Option<MaterialObject>,
+    /// Lights, clip planes or fog of the file, which the fixed function alone draws.
+    has_fixed_state: bool,
 }
 
 impl Look {
@@ -42,7 +47,9 @@ impl Look {
         ];
         let mut material = Inherited::new(None);
         let mut alpha_func = Inherited::new((GL_ALWAYS, 1.0));
+        let mut has_fixed_state = false;
         for state in states {
+            has_fixed_state |= has_fixed_function_state(state);
             for (mode, flags) in &state.modes {
                 if let Some((_, value)) = modes.iter_mut().find(|(known, _)| known == mode) {
                     value.apply(flags & ON != 0, *flags);
@@ -61,15 +68,17 @@ impl Look {
         let [is_lit, culls_faces, is_blended, tests_alpha] = modes.map(|(_, mode)| mode.value);
         let test = Some(alpha_func.value).filter(|(function, _)| tests_alpha && *function != GL_ALWAYS);
         let (units, alpha_test, material) = (Units::default(), test, material.value);
-        let mut look = Self { units, is_lit, culls_faces, is_blended, alpha_test, material };
+        let mut look = Self { units, is_lit, culls_faces, is_blended, alpha_test, material, has_fixed_state };
         look.units = Units::resolve(states, look.is_fixed());
         look.is_lit &= !look.units.replaces_light;
         look
     }
 
-    /// Returns true if only the fixed function draws the highlights or glows of the material, or the alpha test.
+    /// Returns true if only the fixed function draws the highlights or glows of the material, the alpha test, or the file's
+    /// lights, clip planes and fog.
     fn is_fixed(&self) -> bool {
-        self.material.as_ref().is_some_and(needs_surface_material) || self.alpha_test_beside_material().is_some()
+        let has_surface_material = self.material.as_ref().is_some_and(needs_surface_material);
+        self.has_fixed_state || has_surface_material || self.alpha_test_beside_material().is_some()
     }
 
     /// Returns true if vertex colours are shown: without lighting, without a material, or if the material says so.
@@ -104,6 +113,18 @@ impl Look {
         let is_mask = |function| matches!(function, GL_GREATER | GL_GEQUAL);
         self.alpha_test.filter(|(function, _)| self.is_blended || !is_mask(*function))
     }
+}
+
+/// Returns true if a state set switches lights, clip planes or fog on, or has attributes of light.
+fn has_fixed_function_state(state: &StateObject) -> bool {
+    let is_fixed = |mode: u32| {
+        mode == GL_FOG || (GL_LIGHT0 + 1..GL_LIGHT0 + 8).contains(&mode) || mode >> 3 == GL_CLIP_PLANE0 >> 3
+    };
+    state.modes.iter().any(|(mode, flags)| flags & ON != 0 && is_fixed(*mode))
+        || state
+            .attributes
+            .iter()
+            .any(|(attribute, _)| matches!(**attribute, AttributeObject::Light(_) | AttributeObject::LightModel(_)))
 }
 
 /// Returns true if a material has highlights or glows, which only OpenGL's fixed function draws.

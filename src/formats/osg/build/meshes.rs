@@ -78,6 +78,14 @@ impl GeometryObject {
         self.uvs(unit).is_some()
     }
 
+    /// Returns the third coordinate r of a unit if all vertices have the same one, and otherwise `None`.
+    pub(super) fn depth_of_uvs(&self, unit: usize) -> Option<f64> {
+        let array = &self.uvs(unit)?.array;
+        let depth = |element: usize| if array.width > 2 { array.get(element, 2) } else { 0.0 };
+        let first = depth(0);
+        (first.is_finite() && (1..array.count()).all(|element| depth(element) == first)).then_some(first)
+    }
+
     /// Returns true if two sets are the same coordinates.
     pub(super) fn has_equal_uvs(&self, a: UvSet, b: UvSet) -> bool {
         (a.starts_at_bottom, a.map) == (b.starts_at_bottom, b.map) && self.has_equal_arrays(a.unit, b.unit)

@@ -35,7 +35,9 @@ pub(super) use self::textures::external_images;
 use self::units::Unit;
 use super::error::OsgError;
 use super::motion::AnimationObject;
-use super::objects::{DrawableClass, DrawableObject, NodeClass, NodeObject, Object, StateObject, TerrainSettings};
+use super::objects::{
+    DrawableClass, DrawableObject, NodeClass, NodeObject, Object, StateObject, TerrainSettings, TextureTarget,
+};
 use crate::fetch::IoError;
 use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
@@ -238,6 +240,8 @@ impl<'a> Builder<'a> {
             NodeClass::Lod(lod) => return self.lod(object, lod),
             NodeClass::PagedLod(lod, paged) => return self.paged_lod(object, lod, paged),
             NodeClass::Proxy(proxy) => return self.proxy(object, proxy),
+            NodeClass::Light { light, is_absolute } => return self.light_source(object, light.as_ref(), *is_absolute),
+            NodeClass::Clip { planes, is_absolute } => return self.clip_node(object, planes, *is_absolute),
             NodeClass::Billboard(billboard) => return self.billboard(object, billboard),
             NodeClass::AutoTransform(auto) => return self.auto_transform(object, auto),
             NodeClass::Terrain(settings, _) => return self.terrain(object, settings),
@@ -360,7 +364,14 @@ impl<'a> Builder<'a> {
                 continue;
             };
             let [width, height, _] = binding.texture.size;
-            let coordinates = unit.coordinates;
+            let mut coordinates = unit.coordinates;
+            if let Some(geometry) = own.filter(|_| unit.target == TextureTarget::D3) {
+                // Meshes have two coordinates.
+                match geometry.depth_of_uvs(unit.number) {
+                    Some(depth) => coordinates = coordinates.at_depth(depth),
+                    None => self.note("OpenSceneGraph: volume whose third coordinate varies (its front is drawn)"),
+                }
+            }
             let coordinates = if unit.is_in_texels { coordinates.of_rectangle([width, height]) } else { coordinates };
             shown.fixed.push(FixedUnit {
                 binding,

@@ -75,6 +75,15 @@ impl Builder<'_> {
         if let Some(known) = self.unit_textures.get(&key) {
             return Ok(known.clone());
         }
+        if texture.target == TextureTarget::D3 {
+            let volume = self.volume(texture)?;
+            let binding =
+                |object| TextureBinding { sampler: sampler(texture), ..TextureBinding::new(Arc::new(object)) };
+            // The first row of the first slice is at t = 0.
+            let made = volume.map(|object| (binding(object), true));
+            self.unit_textures.insert(key, made.clone());
+            return Ok(made);
+        }
         // Textures of state sets are not compressed.
         let mut images = Vec::with_capacity(texture.images.len());
         for image in texture.all_images() {
@@ -97,6 +106,47 @@ impl Builder<'_> {
         });
         self.unit_textures.insert(key, made.clone());
         Ok(made)
+    }
+
+    /// Returns the volume of a texture; `None` if it cannot be read, which is noted.
+    fn volume(&mut self, texture: &TextureObject) -> Result<Option<StateTexture>, IoError> {
+        let Some(image) = texture.all_images().next() else { return Ok(None) };
+        let ImageData::Raw(raw) = &image.data else {
+            self.note("OpenSceneGraph: a volume that is not in the file");
+            return Ok(None);
+        };
+        let Source { uri, options, .. } = self.source;
+        let depth = u32::try_from(raw.size[2]).unwrap_or(0).max(1);
+        let mut texels = Vec::new();
+        let mut size = [0; 2];
+        for slice in 0..depth {
+            match slice_of(uri, raw, slice as usize, &options.limits) {
+                Ok((width, height, rows)) => {
+                    size = [width, height];
+                    let (got, limit) =
+                        ((rows.len() as u64).saturating_mul(depth.into()), options.limits.max_image_bytes);
+                    if got > limit {
+                        return Err(IoError::TooLarge { uri: uri.to_string(), what: "volume", got, limit });
+                    }
+                    texels.extend(rows);
+                }
+                Err(IoError::Unsupported { what, .. }) => {
+                    self.note(format!("OpenSceneGraph: {what}"));
+                    return Ok(None);
+                }
+                Err(IoError::Invalid { .. }) => {
+                    self.note("OpenSceneGraph: an image that cannot be read");
+                    return Ok(None);
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        let [width, height] = size;
+        Ok(Some(StateTexture {
+            dimension: TextureDimension::D3,
+            size: [width, height, depth],
+            ..(*StateTexture::image("OpenSceneGraph", size, texels)).clone()
+        }))
     }
 
     /// Returns an image of a texture; `None` if it cannot be read, which is noted.
@@ -286,16 +336,65 @@ fn sampling(texture: &TextureObject) -> Sampling {
     Sampling { wrap, mag, min, mip }
 }
 
+/// The type of a channel of pixels, in the byte order of the machines that OSG runs on.
+#[derive(Clone, Copy)]
+enum Channel {
+    U8,
+    U16,
+    U32,
+    F32,
+}
+
+impl Channel {
+    /// Returns the type of an OpenGL number; `None` for those that are not read.
+    fn of_type(data_type: u32) -> Option<Self> {
+        Some(match data_type {
+            GL_UNSIGNED_BYTE => Self::U8,
+            0x1403 => Self::U16,
+            0x1405 => Self::U32,
+            0x1406 => Self::F32,
+            _ => return None,
+        })
+    }
+
+    fn size_bytes(self) -> usize {
+        match self {
+            Self::U8 => 1,
+            Self::U16 => 2,
+            Self::U32 | Self::F32 => 4,
+        }
+    }
+
+    /// Returns a value as the nearest of 0 to 255. OpenGL limits floats to 0 to 1 as it displays them.
+    fn level(self, bytes: &[u8]) -> u8 {
+        let of_share = |share: f64| (share.clamp(0.0, 1.0) * 255.0).round() as u8;
+        match (self, bytes) {
+            (Self::U8, [level, ..]) => *level,
+            (Self::U16, [a, b, ..]) => of_share(f64::from(u16::from_le_bytes([*a, *b])) / f64::from(u16::MAX)),
+            (Self::U32, [a, b, c, d, ..]) => {
+                of_share(f64::from(u32::from_le_bytes([*a, *b, *c, *d])) / f64::from(u32::MAX))
+            }
+            (Self::F32, [a, b, c, d, ..]) => of_share(f32::from_le_bytes([*a, *b, *c, *d]).into()),
+            _ => 0,
+        }
+    }
+}
+
 /// Returns width, height and the RGBA8 texels of the first level of an image.
 fn rgba_of(uri: &str, raw: &RawImage, limits: &Limits) -> Result<(u32, u32, Vec<u8>), IoError> {
+    match raw.size[2] > 1 {
+        true => Err(IoError::unsupported(uri, "image with several layers")),
+        false => slice_of(uri, raw, 0, limits),
+    }
+}
+
+/// Returns width, height and the RGBA8 texels of a slice of an image.
+fn slice_of(uri: &str, raw: &RawImage, slice: usize, limits: &Limits) -> Result<(u32, u32, Vec<u8>), IoError> {
     let bad = |reason: String| IoError::invalid(uri, format!("OpenSceneGraph file: image: {reason}"));
     let [width, height, depth] = raw.size;
     let (Ok(width), Ok(height)) = (u32::try_from(width), u32::try_from(height)) else {
         return Err(bad(format!("{width} x {height} pixels")));
     };
-    if depth > 1 {
-        return Err(IoError::unsupported(uri, "image with several layers"));
-    }
     image::check_size(uri, width, height, limits)?;
     let blocks = match raw.pixel_format {
         GL_COMPRESSED_RGB_S3TC_DXT1 => Some(BlockKind::Bc1 { has_alpha: false }),
@@ -305,6 +404,9 @@ fn rgba_of(uri: &str, raw: &RawImage, limits: &Limits) -> Result<(u32, u32, Vec<
         _ => None,
     };
     if let Some(kind) = blocks {
+        if depth > 1 {
+            return Err(IoError::unsupported(uri, "volume of compressed blocks"));
+        }
         let texels = image::decode_blocks(kind, width, height, &raw.bytes);
         return Ok((width, height, texels.ok_or_else(|| bad("too few blocks".to_owned()))?));
     }
@@ -324,22 +426,24 @@ fn rgba_of(uri: &str, raw: &RawImage, limits: &Limits) -> Result<(u32, u32, Vec<
         0x8227 => (2, [0, 1, ZERO, ONE]),
         format => return Err(IoError::unsupported(uri, format!("image of pixel format 0x{format:x}"))),
     };
-    if raw.data_type != GL_UNSIGNED_BYTE {
+    let Some(channel) = Channel::of_type(raw.data_type) else {
         return Err(IoError::unsupported(uri, format!("image of data type 0x{:x}", raw.data_type)));
-    }
-    let row = (width as usize * channels).next_multiple_of(raw.packing.max(1) as usize);
-    let needed = row * (height as usize - 1) + width as usize * channels;
-    if raw.bytes.len() < needed {
-        return Err(bad(format!("{} bytes of {needed}", raw.bytes.len())));
+    };
+    let pixel_bytes = channels * channel.size_bytes();
+    let row = (width as usize * pixel_bytes).next_multiple_of(raw.packing.max(1) as usize);
+    let needed = row * (height as usize - 1) + width as usize * pixel_bytes;
+    let bytes = (row * height as usize).checked_mul(slice).and_then(|start| raw.bytes.get(start..)).unwrap_or(&[]);
+    if bytes.len() < needed {
+        return Err(bad(format!("{} bytes of {needed}", bytes.len())));
     }
     let mut texels = Vec::with_capacity(width as usize * height as usize * 4);
     for y in 0..height as usize {
-        let pixels = &raw.bytes[y * row..y * row + width as usize * channels];
-        for pixel in pixels.chunks_exact(channels) {
-            texels.extend(order.map(|channel| match channel {
+        let pixels = &bytes[y * row..y * row + width as usize * pixel_bytes];
+        for pixel in pixels.chunks_exact(pixel_bytes) {
+            texels.extend(order.map(|from| match from {
                 ONE => 255,
                 ZERO => 0,
-                channel => pixel[channel],
+                from => channel.level(&pixel[from * channel.size_bytes()..]),
             }));
         }
     }
@@ -366,6 +470,29 @@ mod tests {
         assert_eq!(texels(0x190a, &[7, 8]), [7, 7, 7, 8]);
         assert_eq!(texels(0x1906, &[9]), [255, 255, 255, 9]);
         assert_eq!(texels(0x1903, &[9]), [9, 0, 0, 255]);
+    }
+
+    #[test]
+    fn wide_channels_become_bytes() {
+        let texels = |data_type, format, bytes: &[u8]| {
+            let image = RawImage { data_type, ..raw([1, 1, 1], format, 1, bytes) };
+            rgba_of("t", &image, &limits()).map(|(.., texels)| texels)
+        };
+        let float = |values: &[f32]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
+        assert_eq!(texels(0x1406, 0x1907, &float(&[0.5, 2.0, -1.0])).unwrap(), [128, 255, 0, 255]);
+        assert_eq!(texels(0x1406, 0x1907, &float(&[f32::NAN, 0.0, 1.0])).unwrap(), [0, 0, 255, 255]);
+        assert_eq!(texels(0x1403, 0x190a, &[0xff, 0xff, 0x00, 0x80]).unwrap(), [255, 255, 255, 128]);
+        assert_eq!(texels(0x1405, 0x1909, &[0, 0, 0, 0x40]).unwrap(), [64, 64, 64, 255]);
+        assert!(texels(0x1406, 0x1907, &float(&[0.5, 2.0])).is_err(), "too short");
+        assert!(texels(0x8363, 0x1907, &[0, 0]).is_err(), "packed");
+    }
+
+    #[test]
+    fn volumes_have_slices() {
+        let volume = raw([1, 1, 2], 0x1907, 1, &[1, 2, 3, 4, 5, 6]);
+        assert_eq!(slice_of("t", &volume, 1, &limits()).unwrap().2, [4, 5, 6, 255]);
+        assert!(slice_of("t", &volume, 2, &limits()).is_err(), "too short");
+        assert!(rgba_of("t", &volume, &limits()).is_err(), "no image");
     }
 
     #[test]

@@ -18,8 +18,8 @@ use crate::state::{TEXTURE_UNITS, TexEnv};
 pub(super) const MAX_UNITS: usize = 8;
 
 /// The modes of OpenGL that switch on the kinds of textures and generate coordinates.
-const TARGETS: [TextureTarget; 4] =
-    [TextureTarget::D1, TextureTarget::D2, TextureTarget::Rectangle, TextureTarget::Cube];
+const TARGETS: [TextureTarget; 5] =
+    [TextureTarget::D1, TextureTarget::D2, TextureTarget::Rectangle, TextureTarget::Cube, TextureTarget::D3];
 const GL_TEXTURE_GEN: [u32; 4] = [0xc60, 0xc61, 0xc62, 0xc63];
 const GL_EYE_LINEAR: u32 = 0x2400;
 
@@ -37,7 +37,7 @@ pub(super) struct Unit {
 impl Unit {
     /// Returns true for an image whose coordinates meshes can make.
     fn is_plain(&self) -> bool {
-        self.target != TextureTarget::Cube && self.coordinates.of_meshes().is_some()
+        !matches!(self.target, TextureTarget::Cube | TextureTarget::D3) && self.coordinates.of_meshes().is_some()
     }
 }
 
@@ -59,7 +59,7 @@ pub(super) struct Units {
 /// The state of a unit that state sets pass on.
 struct Inheriting {
     /// By the indices of [`TARGETS`].
-    is_on: [Inherited<bool>; 4],
+    is_on: [Inherited<bool>; 5],
     /// True for the coordinates s, t, r and q that are generated.
     is_generated: [Inherited<bool>; 4],
     texture: Inherited<Option<Arc<AttributeObject>>>,
@@ -137,16 +137,19 @@ impl Units {
                 units.base = Some(found.remove(0).0);
             }
         }
-        let mut has_cube = false;
-        found.retain(|(unit, _)| {
-            let is_cube = unit.target == TextureTarget::Cube;
-            let is_drawn = !is_cube || !has_cube;
-            has_cube |= is_cube;
-            if !is_drawn {
-                left_out.push("OpenSceneGraph: second cube map of a surface");
-            }
-            is_drawn
-        });
+        for (target, what) in [
+            (TextureTarget::Cube, "OpenSceneGraph: second cube map of a surface"),
+            (TextureTarget::D3, "OpenSceneGraph: second volume of a surface"),
+        ] {
+            let mut has_one = false;
+            found.retain(|(unit, _)| {
+                let is_drawn = unit.target != target || !std::mem::replace(&mut has_one, true);
+                if !is_drawn {
+                    left_out.push(what);
+                }
+                is_drawn
+            });
+        }
         if found.len() > TEXTURE_UNITS {
             left_out.push("OpenSceneGraph: texture of a fifth unit");
             found.truncate(TEXTURE_UNITS);
@@ -160,7 +163,7 @@ impl Units {
 impl Inheriting {
     fn resolve(states: &[Arc<StateObject>], number: usize) -> Self {
         let mut unit = Self {
-            is_on: [const { Inherited::new(false) }; 4],
+            is_on: [const { Inherited::new(false) }; 5],
             is_generated: [const { Inherited::new(false) }; 4],
             texture: Inherited::new(None),
             generator: Inherited::new((GL_EYE_LINEAR, PLANES)),

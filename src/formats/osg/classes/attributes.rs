@@ -26,6 +26,7 @@ impl Reader<'_> {
             "Texture1D" => self.texture(TextureTarget::D1)?,
             "Texture2D" => self.texture(TextureTarget::D2)?,
             "TextureRectangle" => self.texture(TextureTarget::Rectangle)?,
+            "Texture3D" => self.texture(TextureTarget::D3)?,
             "TextureCubeMap" => self.texture(TextureTarget::Cube)?,
             "BlendFunc" => {
                 self.attribute_members()?;
@@ -99,16 +100,10 @@ impl Reader<'_> {
                 self.float_member("MaxSize", 0.0)?;
                 AttributeObject::Other("Point")
             }
-            "LightModel" => {
-                const CONTROLS: Names = &[("SEPARATE_SPECULAR_COLOR", 0x81fa), ("SINGLE_COLOR", 0x81f9)];
-                self.attribute_members()?;
-                self.floats_member("AmbientIntensity", [0.0; 4])?;
-                self.named_member("ColorControl", CONTROLS, 0x81f9)?;
-                self.boolean_member("LocalViewer", false)?;
-                self.boolean_member("TwoSided", false)?;
-                AttributeObject::Other("LightModel")
-            }
-            _ => return Ok(None),
+            _ => match self.lighting_of(class)? {
+                Some(attribute) => attribute,
+                None => return Ok(None),
+            },
         };
         Ok(Some(Object::Attribute(Arc::new(attribute))))
     }

@@ -9,6 +9,7 @@ mod attributes;
 mod geometry;
 mod images;
 mod libraries;
+mod lights;
 mod lods;
 mod members;
 mod nodes;
@@ -22,6 +23,7 @@ use std::sync::Arc;
 
 pub(super) use self::arrays::array_type;
 pub(super) use self::libraries::{Freedom, LIKE_GEODES, LIKE_GROUPS, LIKE_TRANSFORMS, ORDERS, light_points};
+pub(super) use self::lights::{EQUATIONS, FOG_MODES, clip_planes};
 pub(super) use self::terrain::{
     CHILDREN_OF_TILES, COMPOSITES, FURTHER_LAYERS, HEIGHTS_ELSEWHERE, LAYERS_ELSEWHERE, LAYERS_WITHOUT_COLORS,
     image_of_file,

@@ -32,6 +32,8 @@ impl Reader<'_> {
             "Sequence" => self.sequence()?,
             "Billboard" => self.billboard()?,
             "AutoTransform" => self.auto_transform()?,
+            "LightSource" => self.light_source()?,
+            "ClipNode" => self.clip_node()?,
             "CoordinateSystemNode" => {
                 let (node, children, system) = self.coordinate_system_members()?;
                 node.with(NodeClass::CoordinateSystem(system), children)

@@ -78,6 +78,9 @@ impl Reader<'_> {
         if target != TextureTarget::D1 {
             self.integer_member("TextureHeight", 0)?;
         }
+        if target == TextureTarget::D3 {
+            self.integer_member("TextureDepth", 0)?;
+        }
         let wrap = [wrap_s, wrap_t];
         let texture = TextureObject { target, wrap, min_filter, mag_filter, border_color, images };
         Ok(AttributeObject::Texture(texture))

@@ -7,17 +7,19 @@ use glam::{DAffine3, DMat4, DVec3, DVec4};
 use super::Reader;
 use super::fields::{Block, Field, number_of, rotation, rotation_of};
 use super::terrain;
-use crate::formats::osg::classes::{Freedom, LIKE_GEODES, LIKE_GROUPS, LIKE_TRANSFORMS, ORDERS, light_points};
+use crate::formats::osg::classes::{
+    Freedom, LIKE_GEODES, LIKE_GROUPS, LIKE_TRANSFORMS, ORDERS, clip_planes, light_points,
+};
 use crate::formats::osg::error::{OsgError, Result};
 use crate::formats::osg::input::value_of;
 use crate::formats::osg::motion::{AnimationObject, Looping, PathObject, PathPoint, SequenceObject};
 use crate::formats::osg::objects::{
-    AutoObject, AutoTurn, BillboardObject, BillboardTurn, CenterMode, LodObject, NodeClass, NodeObject, Object,
-    PagedObject, ProxyMode, ProxyObject,
+    AttributeObject, AutoObject, AutoTurn, BillboardObject, BillboardTurn, CenterMode, LightObject, LodObject,
+    NodeClass, NodeObject, Object, PagedObject, ProxyMode, ProxyObject,
 };
 
 /// The classes of nodes that are read.
-const CLASSES: [&str; 20] = [
+const CLASSES: [&str; 22] = [
     "Node",
     "Group",
     "Geode",
@@ -31,6 +33,8 @@ const CLASSES: [&str; 20] = [
     "Billboard",
     "AutoTransform",
     "Sequence",
+    "LightSource",
+    "ClipNode",
     "CoordinateSystemNode",
     "Terrain",
     "TerrainTile",
@@ -97,6 +101,8 @@ impl Reader {
         let mut children = self.objects(block)?;
         let state = Self::take_state(&mut children);
         // Lights, clip planes and ellipsoids are fields of their nodes.
+        let attributes: Vec<Object> =
+            children.iter().filter(|child| matches!(child, Object::Attribute(_))).cloned().collect();
         children.retain(|child| !matches!(child, Object::Attribute(_) | Object::Ellipsoid(_)));
         let class = match class {
             "Transform" => transform(block, Some(DAffine3::IDENTITY), None),
@@ -125,6 +131,8 @@ impl Reader {
             "PagedLOD" => NodeClass::PagedLod(lod(block), paged(block)),
             "ProxyNode" => NodeClass::Proxy(proxy(block)),
             "Billboard" => NodeClass::Billboard(billboard(block)),
+            "LightSource" => NodeClass::Light { light: light_among(&attributes), is_absolute: is_absolute(block) },
+            "ClipNode" => NodeClass::Clip { planes: clip_planes(attributes), is_absolute: is_absolute(block) },
             _ => NodeClass::Group,
         };
         let height = 1 + children.iter().map(Object::height).max().unwrap_or(0);
@@ -193,6 +201,16 @@ impl Reader {
             _ => Ok(None),
         }
     }
+}
+
+fn light_among(attributes: &[Object]) -> Option<LightObject> {
+    attributes.iter().find_map(|object| match object {
+        Object::Attribute(attribute) => match &**attribute {
+            AttributeObject::Light(light) => Some(*light),
+            _ => None,
+        },
+        _ => None,
+    })
 }
 
 fn transform(block: &Block<'_>, map: Option<DAffine3>, animation: Option<Arc<AnimationObject>>) -> NodeClass {

@@ -6,12 +6,12 @@ use glam::DMat4;
 
 use super::Reader;
 use super::fields::{Block, Field, number_of};
-use crate::formats::osg::classes::{PLANES, TEX_GEN_MODES};
+use crate::formats::osg::classes::{EQUATIONS, FOG_MODES, PLANES, TEX_GEN_MODES};
 use crate::formats::osg::error::Result;
 use crate::formats::osg::input::{GL_NAMES, Names, value_of};
 use crate::formats::osg::objects::{
-    AttributeObject, CombineObject, CombinePart, ImageData, ImageObject, MaterialObject, Object, StateObject,
-    TexMatObject, TextureObject, TextureTarget,
+    AttributeObject, ClipPlaneObject, CombineObject, CombinePart, FogObject, ImageData, ImageObject, LightModelObject,
+    LightObject, MaterialObject, Object, StateObject, TexMatObject, TextureObject, TextureTarget,
 };
 
 /// The number of texture units that a state set can have.
@@ -28,7 +28,7 @@ const NAMED_MODES: Names = &[
     ("alpha_test", 0xbc0),
 ];
 /// Attributes without effect here.
-const OTHERS: [&str; 5] = ["ShadeModel", "LineWidth", "Point", "LightModel", "Light"];
+const OTHERS: [&str; 3] = ["ShadeModel", "LineWidth", "Point"];
 
 impl Reader {
     pub(super) fn state_set(&mut self, block: &Block<'_>) -> Result<StateObject> {
@@ -98,6 +98,7 @@ impl Reader {
             "Texture1D" => AttributeObject::Texture(texture(block, TextureTarget::D1)),
             "Texture2D" | "Texture" => AttributeObject::Texture(texture(block, TextureTarget::D2)),
             "TextureRectangle" => AttributeObject::Texture(texture(block, TextureTarget::Rectangle)),
+            "Texture3D" => AttributeObject::Texture(texture(block, TextureTarget::D3)),
             "TextureCubeMap" => AttributeObject::Texture(texture(block, TextureTarget::Cube)),
             "TexEnv" => {
                 const MODES: Names =
@@ -168,9 +169,62 @@ impl Reader {
                 let names = ["redMask", "greenMask", "blueMask", "alphaMask"];
                 AttributeObject::ColorMask(names.map(|name| block.is_true(name)))
             }
+            _ if let Some(attribute) = lighting(class, block) => attribute,
             _ => AttributeObject::Other(OTHERS.iter().find(|other| **other == class)?),
         })
     }
+}
+
+/// Returns a light, a clip plane, fog or a further attribute of pixels; `None` for other classes.
+fn lighting(class: &str, block: &Block<'_>) -> Option<AttributeObject> {
+    let number = |name: &str, default: f64| block.value(name).unwrap_or(default) as f32;
+    Some(match class {
+        "Light" => AttributeObject::Light(LightObject {
+            number: block.value("light_num").unwrap_or(0.0) as i32,
+            ambient: color(block, "ambient"),
+            diffuse: color(block, "diffuse"),
+            specular: color(block, "specular"),
+            position: block.values("position").unwrap_or([0.0, 0.0, 1.0, 0.0]),
+            direction: block.values("direction").unwrap_or([0.0, 0.0, -1.0]),
+            attenuation: [
+                number("constant_attenuation", 1.0),
+                number("linear_attenuation", 0.0),
+                number("quadratic_attenuation", 0.0),
+            ],
+            spot_exponent: number("spot_exponent", 0.0),
+            spot_cutoff_deg: number("spot_cutoff", 180.0),
+        }),
+        "LightModel" => AttributeObject::LightModel(LightModelObject {
+            ambient: color(block, "ambientIntensity"),
+            has_separate_specular: block.word("colorControl") == "SEPARATE_SPECULAR_COLOR",
+            local_viewer: block.word("localViewer") == "TRUE",
+            two_sided: block.word("twoSided") == "TRUE",
+        }),
+        "Fog" => AttributeObject::Fog(FogObject {
+            mode: value_of(FOG_MODES, block.word("mode")).unwrap_or(0x2601),
+            start: number("start", 0.0),
+            end: number("end", 1.0),
+            density: number("density", 1.0),
+            color: color(block, "color"),
+        }),
+        "ClipPlane" => AttributeObject::ClipPlane(ClipPlaneObject {
+            number: block.value("clipPlaneNum").unwrap_or(0.0) as u32,
+            plane: block.values("plane").unwrap_or([0.0; 4]),
+        }),
+        "PolygonMode" => {
+            let is_of_front = |field: &&Field<'_>| field.word(0) == "mode" && field.word(1) != "BACK";
+            let field = block.fields.iter().find(is_of_front);
+            AttributeObject::PolygonMode(field.and_then(|field| value_of(GL_NAMES, field.word(2))).unwrap_or(0x1b02))
+        }
+        "BlendColor" => AttributeObject::BlendColor(color(block, "constantColor")),
+        "BlendEquation" => {
+            let equation = |name: &str| value_of(EQUATIONS, block.word(name));
+            let both = equation("equation").unwrap_or(0x8006);
+            let [of_color, of_alpha] = ["equationRGB", "equationAlpha"].map(|name| equation(name).unwrap_or(both));
+            AttributeObject::BlendEquation([of_color, of_alpha])
+        }
+        _ => return None,
+    })
 }
 
 /// Returns the list of a unit.

@@ -6,8 +6,8 @@ use super::Reader;
 use super::fields::{Block, rotation};
 use crate::formats::osg::input::value_of;
 use crate::formats::osg::text::{
-    ALIGNMENTS, AXES, BACKDROPS, BOXES, FADING, GRADIENTS, LAYOUTS, LETTERS_ALONE, NO_BACKDROP, SCREEN, SIZE_MODES,
-    SOLIDS, TextObject, rotation_of_axis, text_of_numbers,
+    ALIGNMENTS, AXES, BACKDROPS, FADING, GRADIENTS, LAYOUTS, LETTERS_ALONE, NO_BACKDROP, SCREEN, SIZE_MODES, SOLIDS,
+    TextObject, rotation_of_axis, text_of_numbers,
 };
 
 impl Reader {
@@ -34,17 +34,15 @@ impl Reader {
         text.faces_screen = axis == SCREEN || block.word("autoRotateToScreen") == "TRUE";
         text.position = block.values("position").map_or(DVec3::ZERO, DVec3::from_array);
         text.color = block.values("color").map_or(text.color, |color| color.map(|part: f64| part as f32));
-        let mode = block.value("drawMode").map_or(LETTERS_ALONE, |mode| mode as u32);
-        if mode & LETTERS_ALONE != 0 {
-            let field = block.fields.iter().find(|field| field.word(0) == "text");
-            text.text = match field.and_then(|field| field.block.as_ref()) {
-                Some(numbers) => text_of_numbers(numbers.numbers.iter().copied()),
-                None => block.word("text").to_owned(),
-            };
-        }
-        if mode & !LETTERS_ALONE != 0 {
-            self.notes.add(BOXES);
-        }
+        text.draw_mode = block.value("drawMode").map_or(LETTERS_ALONE, |mode| mode as u32);
+        text.box_margin = block.value("BoundingBoxMargin").unwrap_or(0.0);
+        text.box_color =
+            block.values("BoundingBoxColor").map_or(text.box_color, |color| color.map(|part: f64| part as f32));
+        let field = block.fields.iter().find(|field| field.word(0) == "text");
+        text.text = match field.and_then(|field| field.block.as_ref()) {
+            Some(numbers) => text_of_numbers(numbers.numbers.iter().copied()),
+            None => block.word("text").to_owned(),
+        };
         let backdrop = &mut text.backdrop;
         backdrop.kind = value_of(BACKDROPS, block.word("backdropType")).unwrap_or(NO_BACKDROP);
         for (offset, name) in backdrop.offset.iter_mut().zip(["backdropHorizontalOffset", "backdropVerticalOffset"]) {

@@ -8,8 +8,8 @@ use super::{Kind, Reader, ids};
 use crate::formats::osg::classes::{PLANES, PROGRAMS};
 use crate::formats::osg::error::Result;
 use crate::formats::osg::objects::{
-    AttributeObject, CombineObject, CombinePart, ImageObject, MaterialObject, Object, TexMatObject, TextureObject,
-    TextureTarget,
+    AttributeObject, ClipPlaneObject, CombineObject, CombinePart, FogObject, ImageObject, LightModelObject,
+    LightObject, MaterialObject, Object, TexMatObject, TextureObject, TextureTarget,
 };
 
 impl Reader<'_> {
@@ -35,11 +35,7 @@ impl Reader<'_> {
             ids::TEXTURE_2D => Some(self.texture(TextureTarget::D2)?),
             ids::TEXTURE_RECTANGLE => Some(self.texture(TextureTarget::Rectangle)?),
             ids::TEXTURE_CUBE_MAP => Some(self.texture(TextureTarget::Cube)?),
-            ids::TEXTURE_3D => {
-                self.texture_members()?;
-                self.image()?;
-                None
-            }
+            ids::TEXTURE_3D => Some(self.texture(TextureTarget::D3)?),
             ids::TEXTURE_2D_ARRAY => {
                 self.texture_members()?;
                 let [_width, _height, depth, _levels] = self.integers()?;
@@ -113,10 +109,64 @@ impl Reader<'_> {
                 self.floats::<7>()?;
                 AttributeObject::Other("Point")
             }
+            _ => return self.lighting(class),
+        }))
+    }
+
+    /// Reads the members of lights, clip planes, fog and further attributes of pixels; `None` for classes that are read over.
+    fn lighting(&mut self, class: u32) -> Result<Option<AttributeObject>> {
+        Ok(Some(match class {
             ids::LIGHT_MODEL => {
-                // Two booleans, the ambient light and the control of colours.
-                self.skip(2 + 5 * 4)?;
-                AttributeObject::Other("LightModel")
+                let (two_sided, local_viewer) = (self.boolean()?, self.boolean()?);
+                let ambient = self.floats()?;
+                let has_separate_specular = self.unsigned()? == LightModelObject::SEPARATE_SPECULAR;
+                AttributeObject::LightModel(LightModelObject {
+                    ambient,
+                    has_separate_specular,
+                    local_viewer,
+                    two_sided,
+                })
+            }
+            ids::LIGHT => {
+                let number = self.integer()?;
+                let [ambient, diffuse, specular] = [self.floats()?, self.floats()?, self.floats()?];
+                let position = self.floats()?.map(f64::from);
+                let direction = self.floats()?.map(f64::from);
+                let attenuation = self.floats()?;
+                let [spot_exponent, spot_cutoff_deg] = self.floats()?;
+                AttributeObject::Light(LightObject {
+                    number,
+                    ambient,
+                    diffuse,
+                    specular,
+                    position,
+                    direction,
+                    attenuation,
+                    spot_exponent,
+                    spot_cutoff_deg,
+                })
+            }
+            ids::FOG => {
+                let mode = self.unsigned()?;
+                let [density, start, end] = self.floats()?;
+                let color = self.floats()?;
+                // The source of the coordinates.
+                self.unsigned()?;
+                AttributeObject::Fog(FogObject { mode, start, end, density, color })
+            }
+            ids::CLIP_PLANE => {
+                let plane = self.doubles()?;
+                AttributeObject::ClipPlane(ClipPlaneObject { number: self.unsigned()?, plane })
+            }
+            ids::POLYGON_MODE => {
+                let [front, _back] = self.integers()?;
+                AttributeObject::PolygonMode(front)
+            }
+            ids::BLEND_COLOR => AttributeObject::BlendColor(self.floats()?),
+            ids::BLEND_EQUATION => {
+                let color = self.unsigned()?;
+                let alpha = if self.version >= 40 { self.unsigned()? } else { color };
+                AttributeObject::BlendEquation([color, alpha])
             }
             _ => {
                 self.skipped_attribute(class)?;
@@ -128,19 +178,12 @@ impl Reader<'_> {
     /// Reads over the members of a class that is not drawn.
     fn skipped_attribute(&mut self, class: u32) -> Result<()> {
         match class {
-            ids::BLEND_COLOR => self.skip(4 * 4),
-            ids::BLEND_EQUATION => self.skip(if self.version >= 40 { 2 * 4 } else { 4 }),
             ids::VIEWPORT | ids::SCISSOR => self.skip(4 * 4),
-            ids::CLIP_PLANE => self.skip(4 * 8 + 4),
-            ids::POLYGON_MODE => self.skip(2 * 4),
             ids::STENCIL => self.skip(7 * 4),
             ids::STENCIL_TWO_SIDED => self.skip(14 * 4),
             ids::POINT_SPRITE => self.skip(4),
             ids::MULTISAMPLE => self.skip(4 + 1 + 4),
             ids::LINE_STIPPLE => self.skip(2 + 4),
-            ids::FOG => self.skip(9 * 4),
-            // Number, three colours, position, direction, attenuation and spot.
-            ids::LIGHT => self.skip(4 + 3 * 16 + 16 + 12 + 5 * 4),
             ids::POLYGON_STIPPLE => {
                 let count = self.count(1)?;
                 self.skip(count)

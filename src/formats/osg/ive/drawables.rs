@@ -6,9 +6,7 @@ use super::{Kind, Reader, ids};
 use crate::formats::osg::error::Result;
 use crate::formats::osg::input::{Input as _, Number};
 use crate::formats::osg::objects::{DrawableClass, DrawableObject, Object, StateObject};
-use crate::formats::osg::text::{
-    BOXES, FADING, GRADIENTS, LAYOUTS, LETTERS_ALONE, SOLIDS, TextObject, text_of_numbers,
-};
+use crate::formats::osg::text::{FADING, GRADIENTS, LAYOUTS, SOLIDS, TextObject, text_of_numbers};
 
 /// The members that all drawables have.
 struct DrawableMembers {
@@ -109,14 +107,11 @@ impl Reader<'_> {
         if is_flat {
             text.color = self.floats()?;
         }
-        let mode = self.unsigned()?;
-        if mode & !LETTERS_ALONE != 0 {
-            self.notes.add(BOXES);
-        }
+        text.draw_mode = self.unsigned()?;
         if is_flat {
             if self.version >= 41 {
-                // The box around it.
-                self.floats::<5>()?;
+                text.box_margin = self.float()?.into();
+                text.box_color = self.floats()?;
             }
             if self.version >= 28 {
                 text.backdrop.kind = self.unsigned()?;
@@ -137,10 +132,7 @@ impl Reader<'_> {
         if class == ids::FADE_TEXT {
             self.notes.add(FADING);
         }
-        let characters = self.characters()?;
-        if mode & LETTERS_ALONE != 0 {
-            text.text = characters;
-        }
+        text.text = self.characters()?;
         Ok(drawable.with(DrawableClass::Text(text)))
     }
 

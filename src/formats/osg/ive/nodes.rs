@@ -3,11 +3,11 @@
 use glam::{DAffine3, DMat4, DVec3, DVec4};
 
 use super::{Kind, Reader, ids};
-use crate::formats::osg::classes::Freedom;
+use crate::formats::osg::classes::{Freedom, clip_planes};
 use crate::formats::osg::error::Result;
 use crate::formats::osg::motion::SequenceObject;
 use crate::formats::osg::objects::{
-    AutoObject, AutoTurn, BillboardObject, BillboardTurn, NodeClass, NodeMembers, Object, ellipsoid,
+    AttributeObject, AutoObject, AutoTurn, BillboardObject, BillboardTurn, NodeClass, NodeMembers, Object, ellipsoid,
 };
 use crate::math::Ellipsoid;
 
@@ -50,6 +50,8 @@ impl Reader<'_> {
             ids::TERRAIN => self.terrain(),
             ids::TERRAIN_TILE => self.terrain_tile(),
             ids::LIGHT_POINT_NODE => self.light_points(),
+            ids::LIGHT_SOURCE => self.light_source(),
+            ids::CLIP_NODE => self.clip_node(),
             // Its layers and properties are read by no class here.
             ids::VOLUME_TILE => Err(Self::unknown("a node", ids::VOLUME_TILE)),
             class => self.like_group(class),
@@ -66,9 +68,7 @@ impl Reader<'_> {
             return Ok(node.with(NodeClass::Group, children));
         }
         let (node, children) = match class {
-            ids::LIGHT_SOURCE
-            | ids::TEX_GEN_NODE
-            | ids::CLIP_NODE
+            ids::TEX_GEN_NODE
             | ids::OCCLUDER_NODE
             | ids::OCCLUSION_QUERY_NODE
             | ids::VISIBILITY_GROUP
@@ -78,19 +78,9 @@ impl Reader<'_> {
         };
         self.note_children(class);
         match class {
-            ids::LIGHT_SOURCE => {
-                self.optional(Self::attribute_in_place)?;
-                self.integer()?;
-            }
             ids::TEX_GEN_NODE => {
                 self.unsigned()?;
                 self.optional(Self::attribute_in_place)?;
-            }
-            ids::CLIP_NODE => {
-                if self.version >= 37 {
-                    self.integer()?;
-                }
-                self.list(4, Self::attribute_in_place)?;
             }
             ids::OCCLUDER_NODE => drop(self.optional(Self::occluder)?),
             ids::OCCLUSION_QUERY_NODE => {
@@ -106,6 +96,28 @@ impl Reader<'_> {
             _ => {}
         }
         Ok(node.with(NodeClass::Group, children))
+    }
+
+    fn light_source(&mut self) -> Result<Object> {
+        self.expect(ids::LIGHT_SOURCE)?;
+        let (node, children) = self.group_members()?;
+        let light = match self.optional(Self::attribute_in_place)? {
+            Some(Object::Attribute(attribute)) => match &*attribute {
+                AttributeObject::Light(light) => Some(*light),
+                _ => None,
+            },
+            _ => None,
+        };
+        let is_absolute = self.integer()? != 0;
+        Ok(node.with(NodeClass::Light { light, is_absolute }, children))
+    }
+
+    fn clip_node(&mut self) -> Result<Object> {
+        self.expect(ids::CLIP_NODE)?;
+        let (node, children) = self.group_members()?;
+        let is_absolute = self.version >= 37 && self.integer()? != 0;
+        let planes = clip_planes(self.list(4, Self::attribute_in_place)?);
+        Ok(node.with(NodeClass::Clip { planes, is_absolute }, children))
     }
 
     /// Reads over a ConvexPlanarOccluder.

@@ -3,6 +3,7 @@
 mod arrays;
 mod images;
 mod inherited;
+mod lights;
 mod shapes;
 mod terrain;
 
@@ -13,6 +14,7 @@ use glam::{DAffine3, DMat4, DQuat, DVec3};
 pub(super) use self::arrays::{ArrayObject, Binding, BoundArray};
 pub(super) use self::images::{ImageData, ImageObject, RawImage};
 pub(super) use self::inherited::{Inherited, ON};
+pub(super) use self::lights::{ClipPlaneObject, FogObject, LightModelObject, LightObject};
 pub(super) use self::shapes::{HeightFieldObject, Profile, ShapeObject};
 pub(super) use self::terrain::{
     BlendingPolicy, LayerContent, LayerObject, LocatorObject, RampObject, TerrainSettings, TerrainTileObject, Validity,
@@ -85,6 +87,16 @@ pub(super) enum NodeClass {
     Proxy(ProxyObject),
     Billboard(BillboardObject),
     AutoTransform(AutoObject),
+    Light {
+        light: Option<LightObject>,
+        /// The light moves with the eye.
+        is_absolute: bool,
+    },
+    Clip {
+        planes: Vec<ClipPlaneObject>,
+        /// The planes move with the eye.
+        is_absolute: bool,
+    },
     /// A CoordinateSystemNode with its system: EPSG or WKT. Empty if the positions are earth-centred.
     CoordinateSystem(String),
     /// An osgTerrain::Terrain: a CoordinateSystemNode whose tiles have its settings.
@@ -243,7 +255,7 @@ pub(super) enum DrawableClass {
 }
 
 /// The members of a Geometry.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct GeometryObject {
     pub primitives: Vec<Arc<PrimitiveObject>>,
     pub vertices: Option<BoundArray>,
@@ -309,6 +321,16 @@ pub(super) enum AttributeObject {
         units: f32,
     },
     ColorMask([bool; 4]),
+    Light(LightObject),
+    LightModel(LightModelObject),
+    Fog(FogObject),
+    ClipPlane(ClipPlaneObject),
+    /// OpenGL's number of the mode of front faces.
+    PolygonMode(u32),
+    /// The displayed colour, sRGB.
+    BlendColor([f32; 4]),
+    /// OpenGL's numbers for colour and alpha.
+    BlendEquation([u32; 2]),
     /// OpenGL's number of the mode, and the colour of BLEND.
     TexEnv {
         mode: u32,
@@ -398,4 +420,6 @@ pub(super) enum TextureTarget {
     /// Its coordinates are texels.
     Rectangle = 0x84f5,
     Cube = 0x8513,
+    /// A volume.
+    D3 = 0x806f,
 }

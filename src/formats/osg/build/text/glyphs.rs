@@ -16,6 +16,8 @@ const GAP_PX: usize = 8;
 /// Letters begin at multiples of this number of texels, so that four mip levels mix no neighbours.
 const GRID_PX: usize = 16;
 const WIDTH_PX: usize = 1024;
+/// The side of the square that is covered, so large that four mip levels leave two texels of it.
+const COVERED_PX: usize = 2 * GRID_PX;
 /// The characters of each texture: those of western Europe, and other alphabets.
 const PAGES: [&[RangeInclusive<u32>]; 2] = [
     &[
@@ -50,6 +52,8 @@ pub(super) struct Letter {
 /// A texture with its letters.
 pub(super) struct LetterPage {
     letters: HashMap<char, Letter>,
+    /// The texture coordinates of a texel whose coverage is full.
+    pub covered_uv: [f32; 2],
     pub texture: Arc<Texture>,
 }
 
@@ -119,8 +123,17 @@ fn new_page(index: usize) -> LetterPage {
         place.at = [x, y];
         (x, row) = (x + width, row.max(height));
     }
-    let height_px = (y + row).max(GRID_PX);
+    // A square that is covered, for what is behind letters.
+    if x + COVERED_PX > WIDTH_PX {
+        (x, y, row) = (0, y + row, 0);
+    }
+    let height_px = y + row.max(COVERED_PX);
     let mut coverage = vec![0.0f32; WIDTH_PX * height_px];
+    for row in coverage.chunks_exact_mut(WIDTH_PX).skip(y).take(COVERED_PX) {
+        row[x..x + COVERED_PX].fill(1.0);
+    }
+    let middle = |at: usize, size: usize| (at + COVERED_PX / 2) as f32 / size as f32;
+    let covered_uv = [middle(x, WIDTH_PX), middle(y, height_px)];
     let mut letters = HashMap::with_capacity(places.len());
     for Place { character, id, outline, at: [left, top] } in places {
         let advance = f64::from(face.h_advance_unscaled(id) / em);
@@ -146,7 +159,7 @@ fn new_page(index: usize) -> LetterPage {
         letters.insert(character, letter);
     }
     let texture = coverage_texture(WIDTH_PX as u32, height_px as u32, coverage);
-    LetterPage { letters, texture: Arc::new(texture) }
+    LetterPage { letters, covered_uv, texture: Arc::new(texture) }
 }
 
 #[cfg(test)]
@@ -173,7 +186,11 @@ mod tests {
                 covered += (left..right).map(|x| u64::from(texels[(y * WIDTH_PX + x) * 4 + 3])).sum::<u64>();
             }
         }
-        // Nothing lies outside of the rectangles, and nothing in two of them.
+        let [u, v] = first.covered_uv;
+        let [x, y] = [(u * WIDTH_PX as f32) as usize, (v * first.texture.height as f32) as usize];
+        assert_eq!(texels[(y * WIDTH_PX + x) * 4 + 3], 255);
+        covered += (COVERED_PX * COVERED_PX * 255) as u64;
+        // Nothing else lies outside of the rectangles, and nothing in two of them.
         assert_eq!(covered, texels.iter().skip(3).step_by(4).map(|alpha| u64::from(*alpha)).sum::<u64>());
         assert_eq!((letter('Ω').unwrap().0.page, letter('Ж').unwrap().0.page), (1, 1));
     }

@@ -7,7 +7,7 @@ use glam::{DVec2, DVec3};
 use super::glyphs::{self, Letter};
 use crate::fetch::IoError;
 use crate::formats::osg::build::Builder;
-use crate::formats::osg::text::TextObject;
+use crate::formats::osg::text::{BOX_FILLED, BOX_OUTLINE, CROSS, LETTERS_ALONE, TextObject};
 use crate::math::color::linear_rgba;
 use crate::scene::{AlphaMode, ContentKey, Drawable, Geometry, Material, Mesh, MeshVertex, Topology};
 
@@ -23,6 +23,8 @@ struct Lines {
     pivot: DVec2,
     /// Width and height of the square that letters are designed in.
     unit: DVec2,
+    /// The corners of the box around all letters.
+    ink: [DVec2; 2],
     lacks_letters: bool,
 }
 
@@ -101,7 +103,8 @@ impl Lines {
             6..=8 | 11 | 14 => 1.0,
             _ => 0.0,
         };
-        let mut all = Self { letters: Vec::new(), pivot: DVec2::ZERO, unit, lacks_letters: false };
+        let mut all =
+            Self { letters: Vec::new(), pivot: DVec2::ZERO, unit, ink: [DVec2::ZERO; 2], lacks_letters: false };
         let (mut low, mut high) = (DVec2::ZERO, DVec2::ZERO);
         for (number, line) in lines.iter().enumerate() {
             let mut at = DVec2::new(-column * line.width, -(number as f64) * pitch);
@@ -117,6 +120,7 @@ impl Lines {
                 before = Some(letter);
             }
         }
+        all.ink = [low, high];
         let last_base = -pitch * (lines.len().max(1) - 1) as f64;
         all.pivot = DVec2::new(
             low.x + column * (high.x - low.x),
@@ -129,6 +133,33 @@ impl Lines {
             },
         );
         Some(all)
+    }
+
+    /// Returns the corners of the box around a text relative to the position; `None` if it has none.
+    fn bounding_box(&self, text: &TextObject) -> Option<[DVec2; 2]> {
+        let margin = text.box_margin;
+        if !text.draws(BOX_FILLED | BOX_OUTLINE) || self.letters.is_empty() || margin.abs() >= MAX_LENGTH {
+            return None;
+        }
+        let offsets = text.backdrop.offsets().map(|offset| offset * self.unit);
+        let shadow = offsets.fold([DVec2::ZERO; 2], |[low, high], offset| [low.min(offset), high.max(offset)]);
+        let [low, high] = self.ink;
+        let corners = [low + shadow[0] - margin, high + shadow[1] + margin];
+        corners.iter().all(|corner| corner.is_finite()).then(|| corners.map(|corner| corner - self.pivot))
+    }
+
+    /// Returns the ends of the lines around and in a text, in pairs, relative to the position.
+    fn line_ends(&self, text: &TextObject) -> Vec<DVec2> {
+        let mut ends = Vec::new();
+        if let Some([low, high]) = self.bounding_box(text).filter(|_| text.draws(BOX_OUTLINE)) {
+            let corners = [low, DVec2::new(high.x, low.y), high, DVec2::new(low.x, high.y)];
+            ends.extend((0..4).flat_map(|at| [corners[at], corners[(at + 1) % 4]]));
+        }
+        if text.draws(CROSS) {
+            let arm = 0.5 * self.unit.y;
+            ends.extend([DVec2::NEG_X, DVec2::X, DVec2::NEG_Y, DVec2::Y].map(|direction| arm * direction));
+        }
+        ends
     }
 
     /// Returns the corners of a letter's rectangle relative to the position.
@@ -144,6 +175,13 @@ pub(super) fn reach(text: &TextObject) -> f64 {
         let [low, high] = lines.corners(letter, *at);
         [low, high, DVec2::new(low.x, high.y), DVec2::new(high.x, low.y)]
     });
+    let corners = corners.chain(
+        lines
+            .bounding_box(text)
+            .into_iter()
+            .flat_map(|[low, high]| [low, high, DVec2::new(low.x, high.y), DVec2::new(high.x, low.y)]),
+    );
+    let corners = corners.chain(lines.line_ends(text));
     let backdrop = text.backdrop.offsets().map(|offset| (offset * lines.unit).length()).fold(0.0, f64::max);
     corners.map(DVec2::length).fold(0.0, f64::max) + backdrop
 }
@@ -169,28 +207,54 @@ impl Builder<'_> {
         backdrop_color[3] *= text.color[3];
         let backdrops = offsets.map(|offset| (offset * lines.unit, packed(backdrop_color)));
         let mut pages: Vec<(usize, Vec<MeshVertex>)> = Vec::new();
+        let rectangle = |[low, high]: [DVec2; 2], [low_uv, high_uv]: [[f32; 2]; 2], color| {
+            let vertex = |x: f64, y: f64, uv: [f32; 2]| {
+                let position = (text.rotation * DVec3::new(x, y, 0.0)).as_vec3().to_array();
+                MeshVertex { position, uv, normal: [nx, ny, nz, 0], color }
+            };
+            [
+                vertex(low.x, low.y, low_uv),
+                vertex(high.x, low.y, [high_uv[0], low_uv[1]]),
+                vertex(high.x, high.y, high_uv),
+                vertex(low.x, high.y, [low_uv[0], high_uv[1]]),
+            ]
+        };
+        if let Some(corners) = lines.bounding_box(text).filter(|_| text.draws(BOX_FILLED)) {
+            // In the mesh of the letters, so that it is behind them.
+            let page = lines.letters.first().map_or(0, |(letter, _)| letter.page);
+            let uvs = [glyphs::page(page).covered_uv; 2];
+            pages.push((page, rectangle(corners, uvs, packed(text.box_color)).to_vec()));
+        }
+        let letters = if text.draws(LETTERS_ALONE) { lines.letters.as_slice() } else { &[] };
         // Letters that are drawn later cover those before, so that none lies below the backdrop of its neighbour.
         for (offset, color) in backdrops.chain([(DVec2::ZERO, packed(text.color))]) {
-            for (letter, at) in &lines.letters {
+            for (letter, at) in letters {
                 let known = pages.iter().position(|(page, _)| *page == letter.page);
                 let known = known.unwrap_or_else(|| {
                     pages.push((letter.page, Vec::new()));
                     pages.len() - 1
                 });
-                let ([low, high], [low_uv, high_uv]) = (lines.corners(letter, *at + offset), letter.uvs);
-                let vertex = |x: f64, y: f64, uv: [f32; 2]| {
-                    let position = (text.rotation * DVec3::new(x, y, 0.0)).as_vec3().to_array();
-                    MeshVertex { position, uv, normal: [nx, ny, nz, 0], color }
-                };
-                pages[known].1.extend([
-                    vertex(low.x, low.y, low_uv),
-                    vertex(high.x, low.y, [high_uv[0], low_uv[1]]),
-                    vertex(high.x, high.y, high_uv),
-                    vertex(low.x, high.y, [low_uv[0], high_uv[1]]),
-                ]);
+                pages[known].1.extend(rectangle(lines.corners(letter, *at + offset), letter.uvs, color));
             }
         }
-        pages.into_iter().map(|(page, vertices)| self.drawable_of_letters(page, vertices)).collect()
+        let mut drawables: Vec<Drawable> = pages
+            .into_iter()
+            .map(|(page, vertices)| self.drawable_of_letters(page, vertices))
+            .collect::<Result<_, IoError>>()?;
+        let ends = lines.line_ends(text).into_iter().map(|end| MeshVertex {
+            position: (text.rotation * end.extend(0.0)).as_vec3().to_array(),
+            uv: [0.0; 2],
+            normal: [nx, ny, nz, 0],
+            color: [255; 4],
+        });
+        let ends: Vec<MeshVertex> = ends.collect();
+        if !ends.is_empty() {
+            let indices: Vec<u32> = (0..ends.len() as u32).collect();
+            let mesh = Mesh::new(ends, indices, Topology::Lines);
+            let material = Material { alpha: AlphaMode::Blend, unlit: true, ..Material::default() };
+            drawables.push(Drawable::new(Geometry::Mesh(Arc::new(mesh)), material));
+        }
+        Ok(drawables)
     }
 
     fn drawable_of_letters(&self, page: usize, vertices: Vec<MeshVertex>) -> Result<Drawable, IoError> {

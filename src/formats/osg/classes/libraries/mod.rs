@@ -15,9 +15,7 @@ use crate::formats::osg::objects::{
 };
 
 /// Classes whose members begin like those of a Group. Their own members are left out.
-pub(in crate::formats::osg) const LIKE_GROUPS: [&str; 16] = [
-    "osg::LightSource",
-    "osg::ClipNode",
+pub(in crate::formats::osg) const LIKE_GROUPS: [&str; 14] = [
     "osg::TexGenNode",
     "osg::ClearNode",
     "osg::OccluderNode",
@@ -119,10 +117,36 @@ impl Reader<'_> {
             _ if LIKE_GEODES.contains(&class) => self.geode()?,
             _ if LIKE_GEOMETRIES.contains(&class) => {
                 note(self, "its rest pose is drawn");
-                self.geometry()?
+                let own = self.geometry()?;
+                if class == "osgAnimation::RigGeometry" { self.rig_source(own)? } else { own }
             }
             _ => return Ok(None),
         }))
+    }
+
+    /// Reads the members of a RigGeometry, and returns the surface that bones move: its source if the geometry itself has no
+    /// vertices yet.
+    fn rig_source(&mut self, own: Object) -> Result<Object> {
+        if self.marked_member("InfluenceMap")? {
+            self.list(|reader| {
+                reader.input.keyword("VertexInfluence")?;
+                reader.input.quoted()?;
+                reader.list(|reader| {
+                    reader.integer(Number::I32)?;
+                    reader.float()
+                })
+            })?;
+        }
+        let source = self.object_member("SourceGeometry")?;
+        let (Object::Drawable(rig), Object::Drawable(drawable)) = (&own, source) else { return Ok(own) };
+        match (&rig.class, &drawable.class) {
+            (DrawableClass::Geometry(GeometryObject { vertices: None, .. }), DrawableClass::Geometry(surface)) => {
+                let state = rig.state.clone().or(drawable.state.clone());
+                let class = DrawableClass::Geometry(surface.clone());
+                Ok(Object::Drawable(Arc::new(DrawableObject { name: rig.name.clone(), mask: rig.mask, state, class })))
+            }
+            _ => Ok(own),
+        }
     }
 
     fn multi_switch(&mut self) -> Result<Object> {

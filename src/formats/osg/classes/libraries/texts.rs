@@ -5,8 +5,8 @@ use crate::formats::osg::classes::geometry::VERSION_OF_ARRAY_OBJECTS;
 use crate::formats::osg::error::Result;
 use crate::formats::osg::objects::{DrawableClass, Object};
 use crate::formats::osg::text::{
-    ALIGNMENTS, AXES, BACKDROPS, BOXES, FADING, GRADIENTS, LAYOUT_NAMES, LAYOUTS, LETTERS_ALONE, NO_BACKDROP, SCREEN,
-    SIZE_MODES, SOLIDS, TextObject, rotation_of_axis, text_of_numbers,
+    ALIGNMENTS, AXES, BACKDROPS, BOX_FILLED, BOX_OUTLINE, CROSS, FADING, GRADIENTS, LAYOUT_NAMES, LAYOUTS,
+    LETTERS_ALONE, NO_BACKDROP, SCREEN, SIZE_MODES, SOLIDS, TextObject, rotation_of_axis, text_of_numbers,
 };
 
 /// The version since which the mode of drawing is a member like others.
@@ -68,15 +68,9 @@ impl Reader<'_> {
         if self.named_member("Layout", LAYOUT_NAMES, 0)? != 0 {
             self.notes.add(LAYOUTS);
         }
-        let mode = self.draw_mode()?;
-        if mode & LETTERS_ALONE == 0 {
-            text.text.clear();
-        }
-        if mode & !LETTERS_ALONE != 0 {
-            self.notes.add(BOXES);
-        }
-        self.float_member("BoundingBoxMargin", 0.0)?;
-        self.floats_member("BoundingBoxColor", [0.0; 4])?;
+        text.draw_mode = self.draw_mode()?;
+        text.box_margin = self.float_member("BoundingBoxMargin", 0.0)?.into();
+        text.box_color = self.floats_member("BoundingBoxColor", text.box_color)?;
         Ok(())
     }
 
@@ -96,7 +90,8 @@ impl Reader<'_> {
     }
 
     fn draw_mode(&mut self) -> Result<u32> {
-        const MODES: [(&str, u32); 4] = [("TEXT", LETTERS_ALONE), ("BOUND", 2), ("FILLED", 4), ("ALIGNMENT", 8)];
+        const MODES: [(&str, u32); 4] =
+            [("TEXT", LETTERS_ALONE), ("BOUND", BOX_OUTLINE), ("FILLED", BOX_FILLED), ("ALIGNMENT", CROSS)];
         let follows = match self.version >= VERSION_OF_DRAW_MODES {
             true => self.member("DrawMode")?,
             false => self.marked_member("DrawMode")?,

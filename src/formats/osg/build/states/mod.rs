@@ -1,26 +1,28 @@
-//! State sets of the engine of those of a file.
+//! State sets of the engine of those of a file. Decode threads.
+
+mod lighting;
 
 use std::sync::Arc;
 
 use glam::DVec3;
 
+use self::lighting::{blend_equation_of, fog_of, light_model_of, plane_of, polygon_mode_of};
 use super::Builder;
 use super::looks::{
-    GL_ALPHA_TEST, GL_BLEND, GL_CULL_FACE, GL_DEPTH_TEST, GL_LIGHTING, has_diffuse_vertex_colors,
-    needs_surface_material,
+    GL_ALPHA_TEST, GL_BLEND, GL_CLIP_PLANE0, GL_CULL_FACE, GL_DEPTH_TEST, GL_FOG, GL_LIGHT0, GL_LIGHTING,
+    has_diffuse_vertex_colors, needs_surface_material,
 };
 use super::textures::FixedUnit;
 use super::units::MAX_UNITS;
-use crate::formats::osg::objects::{AttributeObject, MaterialObject, StateObject};
+use crate::formats::osg::objects::{AttributeObject, MaterialObject, ON, StateObject};
 use crate::math::color::linear_rgba;
 use crate::state::{
-    AlphaFunc, Attribute, BlendFactor, BlendFunc, ColorMask, CompareFunction, CullFace, Depth, FrontFace, Mode,
-    PolygonOffset, StateSet, StateValue, SurfaceMaterial, TexEnv,
+    AlphaFunc, Attribute, BlendFactor, BlendFunc, CLIP_PLANES, ColorMask, CompareFunction, CullFace, Depth, FrontFace,
+    LIGHTS, Mode, PolygonOffset, StateSet, StateValue, SurfaceMaterial, TexEnv,
 };
 
 /// OpenGL's modes that are read here alone.
 const GL_POLYGON_OFFSET_FILL: u32 = 0x8037;
-const GL_LIGHT0: u32 = 0x4000;
 /// Modes that change nothing here: the engine's normals have unit length, and vertex colours need no mode.
 const WITHOUT_EFFECT: [u32; 3] = [0xba1, 0x803a, 0xb57];
 
@@ -48,6 +50,8 @@ impl Builder<'_> {
                 // It is in the materials of the drawables.
                 GL_ALPHA_TEST => {}
                 mode if WITHOUT_EFFECT.contains(&mode) => {}
+                // Without OpenGL's fog there is the haze of the environment.
+                GL_FOG if flags & ON == 0 && !self.is_on_above(GL_FOG) => {}
                 mode => match mode_of(mode) {
                     Some(mode) => drop(set.set_mode(mode, value(*flags))),
                     None if *flags & 1 == 0 => {}
@@ -55,7 +59,12 @@ impl Builder<'_> {
                 },
             }
         }
+        let has_fog = object.modes.iter().any(|(mode, flags)| *mode == GL_FOG && flags & ON != 0);
         for (attribute, flags) in &object.attributes {
+            // The engine has fog wherever it has the attribute.
+            if matches!(**attribute, AttributeObject::Fog(_)) && !has_fog && !self.is_on_above(GL_FOG) {
+                continue;
+            }
             if let Some(attribute) = self.attribute(attribute) {
                 set.set_attribute(attribute, value(*flags | 1));
             }
@@ -74,6 +83,19 @@ impl Builder<'_> {
             (set.bin_value, set.nest_bins) = (value(object.bin_mode | 1), object.nest_bins);
         }
         set
+    }
+
+    /// Notes an attribute that could not be made.
+    fn valid<T>(&self, made: Option<T>) -> Option<T> {
+        if made.is_none() {
+            self.note("OpenSceneGraph: an attribute that is out of range");
+        }
+        made
+    }
+
+    /// Returns true if one of the state sets above switches a mode on.
+    fn is_on_above(&self, mode: u32) -> bool {
+        self.states.iter().flat_map(|state| &state.modes).any(|(known, flags)| *known == mode && flags & ON != 0)
     }
 
     /// Notes what texture units have beside the textures that are drawn.
@@ -124,6 +146,22 @@ impl Builder<'_> {
                 Attribute::PolygonOffset(PolygonOffset { factor: *factor, units: *units })
             }
             AttributeObject::ColorMask(mask) => Attribute::ColorMask(ColorMask(*mask)),
+            AttributeObject::Light(light) => Attribute::Light(self.light(light)?),
+            AttributeObject::LightModel(model) => Attribute::LightModel(light_model_of(model)),
+            AttributeObject::Fog(fog) => Attribute::Fog(self.valid(fog_of(fog))?),
+            AttributeObject::ClipPlane(plane) => {
+                let (number, plane) = self.valid(plane_of(plane))?;
+                Attribute::ClipPlane(number, plane.to_array())
+            }
+            AttributeObject::PolygonMode(mode) => Attribute::PolygonMode(polygon_mode_of(*mode)),
+            AttributeObject::BlendColor(color) => Attribute::BlendColor(linear_rgba(*color)),
+            AttributeObject::BlendEquation([color, alpha]) if color == alpha => {
+                Attribute::BlendEquation(self.valid(blend_equation_of(*color))?)
+            }
+            AttributeObject::BlendEquation(_) => {
+                self.note("OpenSceneGraph: BlendEquation that differs for alpha");
+                return None;
+            }
             AttributeObject::Other(name) => {
                 self.note(format!("OpenSceneGraph: attribute {name}"));
                 return None;
@@ -188,8 +226,15 @@ fn mode_of(mode: u32) -> Option<Mode> {
         GL_DEPTH_TEST => Mode::DepthTest,
         GL_LIGHTING => Mode::Lighting,
         GL_POLYGON_OFFSET_FILL => Mode::PolygonOffset,
-        GL_LIGHT0 => Mode::Light(0),
-        _ => return None,
+        GL_FOG => Mode::Fog,
+        _ => {
+            let number = |first: u32, count: usize| {
+                let number = mode.checked_sub(first).and_then(|number| u8::try_from(number).ok());
+                number.filter(|number| usize::from(*number) < count)
+            };
+            let light = number(GL_LIGHT0, LIGHTS).map(Mode::Light);
+            light.or(number(GL_CLIP_PLANE0, CLIP_PLANES).map(Mode::ClipPlane))?
+        }
     })
 }
 
