@@ -144,6 +144,7 @@ mod tests {
         max_depth: 1,
         max_external_depth: 1,
         max_json_bytes: 0,
+        max_content_bytes: 0,
         file_timeout: std::time::Duration::MAX,
         follow_links: false,
         allow_outside: false,

@@ -4,6 +4,7 @@ use std::net::IpAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use super::memory::ContentTooLarge;
 #[cfg(feature = "http")]
 use super::memory::NoRoom;
 use super::uri::{is_remote, printable, shown};
@@ -261,5 +262,12 @@ impl IoError {
 
     pub(crate) fn unsupported(uri: &str, what: impl Into<String>) -> Self {
         Self::Unsupported { uri: uri.to_owned(), what: printable(&what.into()).into_owned() }
+    }
+}
+
+impl ContentTooLarge {
+    /// Returns the error of a content.
+    pub(crate) fn at(self, uri: &str) -> IoError {
+        IoError::TooLarge { uri: uri.to_owned(), what: Self::WHAT, got: self.asked, limit: self.limit }
     }
 }

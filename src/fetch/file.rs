@@ -33,6 +33,11 @@ pub struct FileReader {
 }
 
 impl FileReader {
+    /// Returns the limits of the reader.
+    pub(crate) fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
     /// Creates a reader that applies the limits before and after decompression.
     pub fn new(limits: Limits) -> Self {
         Self { limits, archives: Mutex::new(LruCache::new(MAX_CACHED_ARCHIVES)) }

@@ -24,6 +24,11 @@ pub struct Limits {
     /// Bytes of memory that one JSON document may take when it is parsed, by a careful estimate: two gibibytes, the default,
     /// are a tileset.json of about 230,000 tiles. Raise it for larger ones.
     pub max_json_bytes: u64,
+    /// Bytes of memory that one content may take from its bytes to its page: decompressed bytes, texels, vertices, indices,
+    /// nodes and parsed JSON (half of its estimate), as their decoders ask for them before they allocate. What is freed on the way
+    /// counts too. One and a half gibibytes, the default, hold the largest file with the largest JSON; tiles take a hundredth.
+    /// Raise it for a single model with many large textures. The files of a content together may have as many bytes.
+    pub max_content_bytes: u64,
     /// Time limit for reading or finding one local file, such as one on a network drive whose server is gone; the error is
     /// [`IoError::Timeout`]. A read that hangs cannot be stopped: its thread is left alone. 30 s by default, longer than a disk
     /// that was stopped takes to start.
@@ -47,6 +52,7 @@ impl Default for Limits {
             max_depth: 100,
             max_external_depth: 32,
             max_json_bytes: 2 << 30,
+            max_content_bytes: 3 << 29,
             file_timeout: Duration::from_secs(30),
             follow_links: false,
             allow_outside: false,
@@ -92,8 +98,8 @@ impl Limits {
                 });
             }
         }
-        about_to_allocate(bytes);
-        Ok(())
+        // A list that has grown keeps half of what the estimate has for its growth.
+        about_to_allocate(bytes / 2).map_err(|error| error.at(uri))
     }
 }
 

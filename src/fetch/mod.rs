@@ -55,7 +55,8 @@ pub use hung_reads::HungReads;
 pub(crate) use limits::JSON_OBJECT_BYTES;
 pub use limits::Limits;
 pub(crate) use memory::{
-    BudgetUse, ByteBudget, ContentMemory, LargeContents, LoadRoom, Permit, about_to_allocate, gated,
+    BudgetUse, ByteBudget, ContentMemory, ContentTooLarge, LargeContents, LoadRoom, Permit, about_to_allocate,
+    content_bytes_left, gated, limited,
 };
 #[cfg(feature = "http")]
 pub(crate) use memory::{Claim, NoRoom};

@@ -14,7 +14,7 @@ use super::ignored::Notes;
 use super::options::{Fetched, ReadOptions};
 use super::properties;
 use super::properties::feature_table::{self, BinaryOffset, Global};
-use crate::fetch::{IoError, Limits, resolve};
+use crate::fetch::{IoError, Limits, about_to_allocate, resolve};
 use crate::math::Ellipsoid;
 use crate::scene::{Drawable, FeatureIdSet, FeatureIds, Node, NodeKind, PropertyTable};
 use crate::state::StateSet;
@@ -22,6 +22,8 @@ use crate::state::StateSet;
 const HEADER_BYTES: usize = 32;
 /// An instance takes about as much memory as this many vertices.
 const VERTICES_PER_INSTANCE: usize = 16;
+/// The bytes that an instance takes beside what it draws: its position, directions and transform.
+const INSTANCE_BYTES: u64 = 192;
 
 #[derive(Deserialize)]
 #[serde(rename_all = "SCREAMING_SNAKE_CASE")]
@@ -152,6 +154,11 @@ pub(super) fn read(
     if drawn > options.limits.max_elements / VERTICES_PER_INSTANCE {
         return Err(IoError::invalid(uri, format!("i3dm: {drawn} instances of primitives")));
     }
+    // Each part has two nodes, which become entries of the page's arrays.
+    let of_parts = 2 * (2 * size_of::<Node>() * parts.len()) as u64;
+    let of_drawables = (2 * size_of::<Drawable>() * drawn) as u64;
+    about_to_allocate(of_parts.saturating_mul(instances.len() as u64).saturating_add(of_drawables))
+        .map_err(|error| error.at(uri))?;
     let mut children = Vec::with_capacity(instances.len() * parts.len());
     let features = match options.keep_features {
         true => Some(InstanceFeatures::new(&reader, instances.len(), batch_json, batch_binary, notes)?),
@@ -264,6 +271,7 @@ impl TableReader<'_> {
         if count > self.limits.max_elements / VERTICES_PER_INSTANCE {
             return Err(self.bad(&format!("{count} instances")));
         }
+        about_to_allocate(INSTANCE_BYTES * count as u64).map_err(|error| error.at(self.uri))?;
         let center = self.vector(&table.rtc_center, "RTC_CENTER")?.unwrap_or_default();
         let (origin, positions) = self.positions(count, center)?;
         let up = self.directions(&table.normal_up, &table.normal_up_oct32p, count)?;

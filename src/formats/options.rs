@@ -161,7 +161,8 @@ pub trait ContentReader: std::fmt::Debug + Send + Sync {
 
     /// Returns the bytes of memory that [`Self::read`] is about to allocate, as far as the content tells, such as by its header. A
     /// content that needs more than is free waits until it is its turn: one such content at a time is read and held until its page
-    /// is in use. What this says is not refused, however large it is. The default is 0: what the reader allocates is not counted then.
+    /// is in use. One that needs more than [`Limits::max_content_bytes`] fails before it is read. The default is 0: what the reader
+    /// allocates is not counted then.
     fn decoded_bytes(&self, uri: &str, bytes: &[u8]) -> u64 {
         let _ = (uri, bytes);
         0

@@ -13,7 +13,7 @@ use super::{
     b3dm, cmpt, draping, embedded, gltf, height, i3dm, image, implicit, model_files, osg, point_cloud, style, tileset,
 };
 use crate::fetch::markup::{is_lfs_pointer, refuse_markup, text_and_first_byte};
-use crate::fetch::{IoError, about_to_allocate, encoding, guarded};
+use crate::fetch::{IoError, about_to_allocate, encoding, guarded, limited};
 use crate::scene::{Node, Page, ReaderData, ReaderValue};
 
 /// The maximum number of files that one content may refer to.
@@ -49,6 +49,18 @@ pub fn companion_fallback(companion: &str, reader_data: Option<&ReaderData>) -> 
 /// them to its companions, and asks again until none is left. References that are not allowed are left out; the decoder
 /// reports them. Any thread.
 pub fn dependencies(
+    uri: &str,
+    bytes: &[u8],
+    reader_data: Option<&ReaderData>,
+    known: &[Fetched],
+    options: &ReadOptions,
+) -> Vec<Arc<str>> {
+    let find = || dependencies_within(uri, bytes, reader_data, known, options);
+    // The decoder reports a content that is too large.
+    limited(options.limits.max_content_bytes, find).unwrap_or_default()
+}
+
+fn dependencies_within(
     uri: &str,
     bytes: &[u8],
     reader_data: Option<&ReaderData>,
@@ -122,7 +134,7 @@ pub fn decode(content: Content, options: &ReadOptions) -> Result<Page, IoError> 
         page.find_vertex_formats();
         Ok(page)
     };
-    guarded(&uri, read)
+    guarded(&uri, || within_budget(&uri, options, read))
 }
 
 /// Decodes a content to nodes: [`decode`] without building a page.
@@ -148,6 +160,17 @@ pub(super) struct Decoded {
 
 /// Decodes a content to nodes with its attributions.
 pub(super) fn decode_whole(content: Content, options: &ReadOptions) -> Result<Decoded, IoError> {
+    let uri = content.uri.clone();
+    within_budget(&uri, options, || decode_all(content, options))
+}
+
+/// Runs a decoder that may take [`max_content_bytes`](crate::fetch::Limits::max_content_bytes). A content that asks for more
+/// fails, also if its reader would leave out the part that did not fit.
+fn within_budget<T>(uri: &str, options: &ReadOptions, read: impl FnOnce() -> Result<T, IoError>) -> Result<T, IoError> {
+    limited(options.limits.max_content_bytes, read).unwrap_or_else(|error| Err(error.at(uri)))
+}
+
+fn decode_all(content: Content, options: &ReadOptions) -> Result<Decoded, IoError> {
     let notes = Notes::default();
     options.credits.iter().for_each(|credit| notes.add_credit(credit));
     let overlays = draping::Draping::new(&content, options);
@@ -273,7 +296,7 @@ fn read_bytes(
 ) -> Result<Node, IoError> {
     let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
     if let Some(reader) = options.reader_of(uri, &bytes) {
-        about_to_allocate(reader.decoded_bytes(uri, &bytes));
+        about_to_allocate(reader.decoded_bytes(uri, &bytes)).map_err(|error| error.at(uri))?;
         return reader.read(uri, &bytes, &companions, options).map_err(|reason| IoError::invalid(uri, reason));
     }
     if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) || bytes.starts_with(height::PACKED_MAGIC) {

@@ -38,6 +38,9 @@ pub struct NetArgs {
     /// Let a set on disk refer to files outside of its folder and to servers
     #[arg(long)]
     pub allow_outside: bool,
+    /// Memory that one content may take, and its files together, such as 4GiB [default: 1.5GiB]
+    #[arg(long, value_name = "SIZE")]
+    pub max_content: Option<ByteSize>,
     /// Access token for `ion:ASSET_ID`; never printed [default: environment variable CESIUM_ION_TOKEN]
     #[arg(long, value_name = "TOKEN")]
     pub ion_token: Option<Secret>,
@@ -154,7 +157,12 @@ impl NetArgs {
 
     /// Returns the limits for data from the source.
     pub fn limits(&self) -> Limits {
-        Limits { follow_links: self.follow_links, allow_outside: self.allow_outside, ..Limits::default() }
+        let mut limits =
+            Limits { follow_links: self.follow_links, allow_outside: self.allow_outside, ..Limits::default() };
+        if let Some(ByteSize(bytes)) = self.max_content {
+            limits.max_content_bytes = bytes;
+        }
+        limits
     }
 
     /// Returns the configuration of the cache, `None` if no option asks for one.

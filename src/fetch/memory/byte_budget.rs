@@ -4,7 +4,7 @@
 //! while it holds some of the same budget. A load waits before it begins. One that turns out to be larger than what it has
 //! reserved, and finds no more free, gives up and gives all back; then it waits for its real size. So the loads that hold
 //! bytes never depend on those that wait, and no set of loads blocks itself. A load larger than the whole budget begins when
-//! nothing else is held.
+//! nothing else is held, but none takes more than the maximum of one load.
 //!
 //! Loads begin in the order in which they asked, those that a frame lacks before prefetches.
 //!
@@ -33,6 +33,8 @@ pub(crate) struct ByteBudget(Arc<Mutex<State>>);
 #[derive(Debug)]
 struct State {
     limit: u64,
+    /// Bytes that one load may take.
+    max_load: u64,
     /// Bytes that permits hold, and those that are granted to reservations.
     used: u64,
     /// In the order in which they are granted.
@@ -80,7 +82,8 @@ impl LoadRoom {
     pub const UNLIMITED: Self = Self { loads: usize::MAX, prefetches: usize::MAX };
 }
 
-/// A permit has no room to grow. Its owner must drop it, and reserve as many bytes as are `needed`.
+/// A permit has no room to grow. Its owner must drop it, and reserve as many bytes as are `needed`, or fail if that is more
+/// than one load may take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct NoRoom {
     pub needed: u64,
@@ -122,6 +125,7 @@ impl ByteBudget {
     pub fn new(limit: u64) -> Self {
         Self(Arc::new(Mutex::new(State {
             limit,
+            max_load: u64::MAX,
             used: 0,
             waiting: VecDeque::new(),
             granted: Vec::new(),
@@ -129,6 +133,12 @@ impl ByteBudget {
             mean: None,
             total: BudgetUse::default(),
         })))
+    }
+
+    /// Refuses loads that claim more than a number of bytes.
+    pub fn with_max_load(self, bytes: u64) -> Self {
+        self.lock().max_load = bytes;
+        self
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -346,7 +356,7 @@ impl Claim<'_> {
         let claimed = amounts.claimed.saturating_add(more);
         if claimed > amounts.reserved {
             let mut state = self.permit.budget().lock();
-            if !state.fits(claimed - amounts.reserved, amounts.reserved) {
+            if claimed > state.max_load || !state.fits(claimed - amounts.reserved, amounts.reserved) {
                 return Err(NoRoom { needed: claimed });
             }
             state.add(claimed - amounts.reserved);

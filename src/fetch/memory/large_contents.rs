@@ -14,6 +14,7 @@ use std::cell::RefCell;
 use std::io::{self, Read};
 
 use super::byte_budget::Permit;
+use super::content_budget::{self, ContentTooLarge};
 use crate::sync::primitives::{Arc, Condvar, Mutex, MutexGuard};
 use crate::trace;
 
@@ -133,12 +134,17 @@ impl Taken {
 }
 
 /// Counts bytes that a decoder is about to allocate. Blocks while the content is beyond its share and another one has the turn.
-pub(crate) fn about_to_allocate(bytes: u64) {
+///
+/// # Errors
+/// [`ContentTooLarge`] if that is more than one content may take. The decoder must not allocate then.
+pub(crate) fn about_to_allocate(bytes: u64) -> Result<(), ContentTooLarge> {
+    content_budget::ask(bytes)?;
     TAKEN.with_borrow_mut(|taken| {
         if let Some(taken) = taken {
             taken.add(bytes);
         }
     });
+    Ok(())
 }
 
 /// Returns a reader whose bytes are counted as they are read; for decompressors.
@@ -156,7 +162,7 @@ impl<R: Read> Read for Gated<R> {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
         let read = self.reader.read(bytes)? as u64;
         if read > self.left {
-            about_to_allocate(read.max(STEP_BYTES));
+            about_to_allocate(read.max(STEP_BYTES))?;
             self.left += read.max(STEP_BYTES);
         }
         self.left -= read;
@@ -184,7 +190,7 @@ mod tests {
         let budget = ByteBudget::new(100);
         let (_held, permit, large) = (budget.hold(40), budget.reserve_blocking(20, false), LargeContents::default());
         let used = |bytes| {
-            about_to_allocate(bytes);
+            about_to_allocate(bytes).unwrap();
             budget.total().bytes
         };
         let (all, memory) = large.decode(permit, || [used(15), used(15), used(30), used(20)]);
@@ -205,12 +211,12 @@ mod tests {
             let (large, permit, say) = (large.clone(), budget.hold(0), say.clone());
             thread::spawn(move || {
                 let decode = || {
-                    about_to_allocate(MAX_BEYOND);
+                    about_to_allocate(MAX_BEYOND).unwrap();
                     say.send((name, "small")).unwrap();
-                    about_to_allocate(1);
+                    about_to_allocate(1).unwrap();
                     say.send((name, "large")).unwrap();
                     // A content that has its turn never waits again.
-                    about_to_allocate(1 << 30);
+                    about_to_allocate(1 << 30).unwrap();
                 };
                 large.decode(permit, decode).1
             })
@@ -236,7 +242,7 @@ mod tests {
             let permit = budget.hold(0);
             let decode = std::panic::AssertUnwindSafe(|| {
                 large.decode(permit, || {
-                    about_to_allocate(MAX_BEYOND + 1);
+                    about_to_allocate(MAX_BEYOND + 1).unwrap();
                     std::panic::resume_unwind(Box::new("stops"));
                 })
             });

@@ -37,29 +37,34 @@ impl<'a> Budget<'a> {
         }
     }
 
+    /// Asks for bytes that count in no limit but that of the whole content.
+    pub fn ask(&self, bytes: u64) -> Result<(), IoError> {
+        about_to_allocate(bytes).map_err(|error| error.at(self.uri))
+    }
+
     pub fn add_primitives(&self, count: usize) -> Result<(), IoError> {
-        self.add(&self.primitives, count, self.limits.max_elements / VERTICES_PER_PRIMITIVE, "primitives of a glTF")
+        self.add(&self.primitives, count, self.limits.max_elements / VERTICES_PER_PRIMITIVE, "primitives of a glTF")?;
+        self.ask(VERTICES_PER_PRIMITIVE as u64 * VERTEX_BYTES * count as u64)
     }
 
     pub fn add_vertices(&self, count: usize) -> Result<(), IoError> {
-        about_to_allocate(VERTEX_BYTES.saturating_mul(count as u64));
-        self.add(&self.vertices, count, self.limits.max_elements, "vertices of a glTF")
+        self.add(&self.vertices, count, self.limits.max_elements, "vertices of a glTF")?;
+        self.ask(VERTEX_BYTES.saturating_mul(count as u64))
     }
 
     pub fn add_indices(&self, count: usize) -> Result<(), IoError> {
-        about_to_allocate(4 * count as u64);
-        self.add(&self.indices, count, self.limits.max_elements.saturating_mul(8), "indices of a glTF")
+        self.add(&self.indices, count, self.limits.max_elements.saturating_mul(8), "indices of a glTF")?;
+        self.ask(4 * count as u64)
     }
 
     /// Counts bytes that a decompressor is about to write.
     pub fn add_decoded(&self, bytes: u64) -> Result<(), IoError> {
         let (got, limit) = (self.decoded_bytes.get().saturating_add(bytes), self.limits.max_file_bytes);
         self.decoded_bytes.set(got);
-        about_to_allocate(bytes);
         if got > limit {
             return Err(IoError::TooLarge { uri: self.uri.to_owned(), what: "decompressed glTF", got, limit });
         }
-        Ok(())
+        self.ask(bytes)
     }
 
     /// Fails if the images so far exceed the limit. The size of the next one is known only after decoding it.

@@ -5,7 +5,7 @@ use std::io::Cursor;
 
 use ::exr::prelude::{FlatSamples, ReadChannels, ReadLayers, read as exr_read};
 
-use crate::fetch::{IoError, Limits};
+use crate::fetch::{IoError, Limits, about_to_allocate};
 
 /// Decodes `stride * stride` heights in metres, southern row first, each row from west to east.
 pub(super) fn decode_heights(uri: &str, bytes: &[u8], stride: usize, limits: &Limits) -> Result<Vec<f32>, IoError> {
@@ -25,6 +25,7 @@ pub(super) fn decode_heights(uri: &str, bytes: &[u8], stride: usize, limits: &Li
         if header.channels.list.len() > 8 || (stride * stride * 32) as u64 > limits.max_image_bytes {
             return Err(bad("EXR with too many channels".to_owned()));
         }
+        about_to_allocate((stride * stride * 32) as u64).map_err(|error| error.at(uri))?;
     }
     let image = exr_read()
         .no_deep_data()

@@ -1,7 +1,7 @@
 //! Decodes packed heights: steps of one size for a whole set, as differences from a plane through three neighbours, their bytes
 //! in planes, compressed by zstd. `docs/formats/packed-sets.md` describes every byte.
 
-use crate::fetch::{IoError, Limits, encoding};
+use crate::fetch::{IoError, Limits, about_to_allocate, encoding};
 
 /// The first bytes of packed heights.
 pub(in crate::formats) const MAGIC: &[u8; 4] = b"TRHT";
@@ -29,6 +29,8 @@ pub(super) fn decode_heights(uri: &str, bytes: &[u8], stride: usize, limits: &Li
     if 4 * count as u64 > limits.max_image_bytes {
         return Err(bad("too many samples"));
     }
+    // The steps and the heights.
+    about_to_allocate(8 * count as u64).map_err(|error| error.at(uri))?;
     let step_m = f64::from_bits(u64::from(word(4)) | u64::from(word(5)) << 32);
     let unpacked;
     let data = match compression {

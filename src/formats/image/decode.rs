@@ -12,7 +12,7 @@ use super::rgba::decode_rgb;
 use super::size::{check_area, check_size};
 use super::transcode::MAGIC as KTX2_MAGIC;
 use crate::fetch::markup::refuse_markup;
-use crate::fetch::{IoError, Limits, guarded};
+use crate::fetch::{IoError, Limits, about_to_allocate, guarded};
 use crate::formats::ignored::Notes;
 use crate::formats::options::ReadOptions;
 use crate::scene::{BlockFormats, ContentKey, Sampling, SharedContent, TexelFormat, Texture};
@@ -159,6 +159,10 @@ fn decode_raster(uri: &str, bytes: &[u8], format: ImageFormat, limits: &Limits) 
     let (width, height) = decoder.dimensions();
     check_size(uri, width, height, limits)?;
     image_limits.reserve(decoder.total_bytes()).map_err(bad)?;
+    // Texels of more than eight bits a channel are reduced behind the decoder.
+    if decoder.total_bytes() > 4 * u64::from(width) * u64::from(height) {
+        about_to_allocate(decoder.total_bytes()).map_err(|error| error.at(uri))?;
+    }
     decoder.set_limits(image_limits).map_err(bad)?;
     let pixels = if decoder.color_type() == ColorType::Rgb8 {
         decode_rgb(width as usize * height as usize * 3, |rgb| decoder.read_image(rgb)).map_err(bad)?

@@ -9,7 +9,7 @@ use super::block_encoder;
 use super::mips::mips;
 use super::size::check_size;
 use super::transcode::transcode;
-use crate::fetch::{IoError, Limits};
+use crate::fetch::{IoError, Limits, about_to_allocate};
 use crate::scene::{BlockFormats, TexelFormat};
 
 /// The levels of a texture, largest first.
@@ -96,6 +96,7 @@ fn open<'a>(uri: &str, bytes: &'a [u8], header: &Header, limits: &Limits) -> Res
         let (got, limit) = (header.largest_level_bytes, limits.max_image_bytes);
         return Err(IoError::TooLarge { uri: uri.to_owned(), what: "KTX2 level", got, limit });
     }
+    about_to_allocate(header.largest_level_bytes).map_err(|error| error.at(uri))?;
     let Ok(transcoder) = Transcoder::new(bytes) else {
         return Err(IoError::unsupported(uri, "KTX2 image without a Basis Universal texture"));
     };

@@ -6,8 +6,7 @@ use crate::fetch::{IoError, Limits, about_to_allocate};
 pub(in crate::formats) fn check_size(uri: &str, width: u32, height: u32, limits: &Limits) -> Result<(), IoError> {
     check_area(uri, width, height, limits)?;
     // All levels together have a third more than the first.
-    about_to_allocate(u64::from(width) * u64::from(height) * 4 / 3 * 4);
-    Ok(())
+    about_to_allocate(u64::from(width) * u64::from(height) * 4 / 3 * 4).map_err(|error| error.at(uri))
 }
 
 /// Checks the size of an image that is not decoded now.

@@ -10,7 +10,7 @@ use super::coordinates::{LocalTile, Subdivision};
 use super::json::{AvailabilityJson, SubtreeJson};
 use super::metadata::{MetadataRows, SemanticNamed};
 use super::semantics::{CONTENT_GROUP_ID, CONTENT_URI, Overrides, Semantic, VolumeOverrides, is_without_effect};
-use crate::fetch::IoError;
+use crate::fetch::{IoError, about_to_allocate};
 use crate::formats::embedded;
 use crate::formats::ignored::Notes;
 use crate::formats::lenient::from_json;
@@ -249,7 +249,12 @@ fn external_buffer(
     let (address, _) = options.resolve(uri, reference)?;
     let found = companions.iter().find(|(fetched, _)| *fetched == address);
     let missing = || format!("subtree: the external buffer {reference:.60} was not read");
-    found.map_or_else(|| Err(IoError::invalid(uri, missing())), |(_, read)| read.clone())
+    let (_, read) = found.ok_or_else(|| IoError::invalid(uri, missing()))?;
+    // Each buffer has a copy, and all may refer to one file.
+    if let Ok(bytes) = read {
+        about_to_allocate(bytes.len() as u64).map_err(|error| error.at(uri))?;
+    }
+    read.clone()
 }
 
 /// Returns true for a property that is read even if metadata is not kept.

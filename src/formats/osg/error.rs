@@ -1,6 +1,6 @@
 //! [`OsgError`]: why a file of OpenSceneGraph cannot be read, before its address is added.
 
-use crate::fetch::IoError;
+use crate::fetch::{ContentTooLarge, IoError};
 
 /// The reason why a file or a part of it cannot be read.
 #[derive(Clone, Debug, PartialEq)]
@@ -11,6 +11,12 @@ pub(super) enum OsgError {
     Unsupported(String),
     /// A part is larger than the limits allow.
     TooLarge { what: &'static str, got: u64, limit: u64 },
+}
+
+impl From<ContentTooLarge> for OsgError {
+    fn from(ContentTooLarge { asked, limit }: ContentTooLarge) -> Self {
+        Self::TooLarge { what: ContentTooLarge::WHAT, got: asked, limit }
+    }
 }
 
 /// The result of reading a part of a file.

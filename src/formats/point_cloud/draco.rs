@@ -4,7 +4,7 @@ use draco_core::{DecodeLimits, DecoderBuffer, PointAttribute, PointCloud, PointC
 use glam::Vec3;
 use serde::Deserialize;
 
-use crate::fetch::IoError;
+use crate::fetch::{IoError, content_bytes_left};
 
 /// The maximum bytes of one point: position, normal, colour, batch id, and some properties of the batch table.
 const MAX_POINT_BYTES: u64 = 512;
@@ -44,7 +44,7 @@ impl DracoPoints {
         let bytes = bytes.ok_or_else(|| bad("the compressed points reach beyond the feature table"))?;
         let mut limits = DecodeLimits::default();
         limits.max_points = count as u64;
-        limits.max_decoded_bytes = (count as u64).saturating_mul(MAX_POINT_BYTES);
+        limits.max_decoded_bytes = (count as u64).saturating_mul(MAX_POINT_BYTES).min(content_bytes_left());
         let mut buffer = DecoderBuffer::new(bytes).with_limits(limits);
         let mut cloud = PointCloud::new();
         PointCloudDecoder::new().decode(&mut buffer, &mut cloud).map_err(|error| bad(&error.to_string()))?;

@@ -7,7 +7,7 @@ use glam::{DAffine3, DVec3, Vec2, Vec3};
 use serde::Deserialize;
 
 use super::draco::{DracoJson, DracoPoints};
-use crate::fetch::{IoError, Limits};
+use crate::fetch::{IoError, Limits, about_to_allocate};
 use crate::formats::ignored::Notes;
 use crate::formats::options::ReadOptions;
 use crate::formats::properties;
@@ -20,6 +20,8 @@ use crate::scene::{
 };
 
 const HEADER_BYTES: usize = 28;
+/// The bytes that a point takes: its position, normal and colour as read, its vertex, index and batch id.
+const POINT_BYTES: u64 = 72;
 /// The vertex attribute that batch ids become, if the application asks for it.
 const BATCH_ID_ATTRIBUTE: &str = "_BATCHID";
 
@@ -79,6 +81,7 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], options: &ReadOptions, n
     if count > options.limits.max_elements {
         return Err(bad(&format!("{count} points")));
     }
+    about_to_allocate(POINT_BYTES * count as u64).map_err(|error| error.at(uri))?;
     let draco = table.extensions.as_ref().and_then(|extensions| extensions.draco.as_ref());
     let draco = draco.map(|json| DracoPoints::decode(uri, json, binary, count)).transpose()?;
     let column = |place: &Option<BinaryOffset>, size: usize| -> Result<Option<&[u8]>, IoError> {

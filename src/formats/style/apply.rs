@@ -11,6 +11,7 @@ use glam::DAffine3;
 
 use super::looks::{FeatureColumn, Looks};
 use super::style::Style;
+use crate::fetch::about_to_allocate;
 use crate::formats::ignored::Notes;
 use crate::formats::subset::Subset;
 use crate::scene::{
@@ -132,6 +133,13 @@ impl Styler<'_> {
         let has_squares = is_large && mesh.indices.len().saturating_mul(4) <= self.to.max_elements;
         if is_large && !has_squares {
             self.notes.add("style: pointSize of a point cloud that is too large for it");
+        }
+        // A copy of the mesh; a square of four vertices and six indices for each point.
+        let copied = if has_squares { 4 * mesh.indices.len() } else { vertices };
+        let bytes = size_of::<MeshVertex>() * copied + 2 * size_of::<u32>() * (vertices + mesh.indices.len() + copied);
+        if about_to_allocate(bytes as u64).is_err() {
+            // The content fails as a whole.
+            return Vec::new();
         }
         let parts = styled_parts(mesh, drawable, &looks, has_squares);
         self.known.insert(key, StyledMesh { _source: drawable.clone(), parts: parts.clone() });

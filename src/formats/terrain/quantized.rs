@@ -7,6 +7,7 @@ use glam::{Vec2, Vec3};
 
 use super::surface::{Normals, Surface, SurfaceVertex};
 use super::water::Water;
+use crate::fetch::about_to_allocate;
 
 /// The header: centre, lowest and highest height, bounding sphere, horizon occlusion point.
 const HEADER_BYTES: usize = 88;
@@ -16,6 +17,10 @@ const HEIGHTS_AT: usize = 24;
 const MAX_COORDINATE: i32 = 32767;
 /// Tiles with more vertices have indices of 32 bits.
 const MAX_SHORT_VERTICES: usize = 1 << 16;
+/// The bytes that a vertex takes until it is one of a mesh: its coordinates, its place on the ellipsoid, its normal.
+const VERTEX_BYTES: u64 = 256;
+/// The same for a triangle: its indices here, without those that are flat, and in the mesh.
+const TRIANGLE_BYTES: u64 = 48;
 /// Heights beyond this are no heights on the earth, metres.
 const MAX_HEIGHT_M: f32 = 1e6;
 
@@ -99,12 +104,15 @@ pub(super) fn parse(bytes: &[u8], max_vertices: usize) -> Result<QuantizedMesh<'
     if count > max_vertices {
         return Err(format!("{count} vertices, at most {max_vertices} are read"));
     }
+    about_to_allocate(VERTEX_BYTES * count as u64).map_err(|error| error.to_string())?;
     let u = reader.coordinates(count, "u")?;
     let v = reader.coordinates(count, "v")?;
     let heights = reader.coordinates(count, "heights")?;
     let index_bytes = if count > MAX_SHORT_VERTICES { 4 } else { 2 };
     reader.at = reader.at.next_multiple_of(index_bytes).min(bytes.len());
     let triangles = reader.elements(3 * index_bytes, "triangles")?;
+    about_to_allocate(TRIANGLE_BYTES * (triangles.len() / index_bytes / 3) as u64)
+        .map_err(|error| error.to_string())?;
     let triangles = decode_triangles(triangles, index_bytes, count)?;
     let mut edges: [Vec<u32>; 4] = Default::default();
     for (edge, what) in edges.iter_mut().zip(["western edge", "southern edge", "eastern edge", "northern edge"]) {

@@ -16,11 +16,12 @@ pub(in crate::pager) struct LoadBudgets {
 }
 
 impl LoadBudgets {
-    /// Creates budgets of half of `max_bytes` each. That of contents has no limit if `waits_for_contents` is false.
-    pub fn new(max_bytes: u64, waits_for_contents: bool) -> Self {
+    /// Creates budgets of half of `max_bytes` each. That of contents has no limit if `waits_for_contents` is false. The files of
+    /// one content may have `max_load` bytes.
+    pub fn new(max_bytes: u64, waits_for_contents: bool, max_load: u64) -> Self {
         let contents = if waits_for_contents { max_bytes / 2 } else { u64::MAX };
         Self {
-            bodies: ByteBudget::new(max_bytes / 2),
+            bodies: ByteBudget::new(max_bytes / 2).with_max_load(max_load),
             contents: ByteBudget::new(contents),
             large: LargeContents::default(),
         }
@@ -55,6 +56,15 @@ mod tests {
             Poll::Ready(permit) => Some(permit),
             Poll::Pending => None,
         }
+    }
+
+    #[test]
+    fn load_beyond_the_maximum_of_one_is_refused_although_it_is_alone() {
+        let budget = ByteBudget::new(100).with_max_load(150);
+        let permit = budget.hold(10);
+        let mut claim = permit.claim(150).expect("a load that is alone may be larger than the budget");
+        assert_eq!(claim.grow_to(151).unwrap_err(), NoRoom { needed: 151 });
+        assert_eq!(budget.total().bytes, 150);
     }
 
     #[test]

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
-use super::job::{LoadJob, LoadedBytes, total_bytes};
+use super::job::{LoadJob, LoadedBytes, files_too_large, total_bytes};
 use super::request_list::RequestList;
 use super::thread_set::{ThreadSet, follow_core};
 use crate::fetch::{ByteBudget, FileReader, IoError, Loaded, Permit};
@@ -180,7 +180,7 @@ impl<J: LoadJob> FileThreads<J> {
         reads.under_way.iter_mut().find(|read| read.id == id).ok_or(GivenUp)?.permit = Some(permit.clone());
         drop(reads);
         let span = job.read_span();
-        let loaded = if job.is_remote() {
+        let mut loaded = if job.is_remote() {
             Err(IoError::unsupported(job.uri(), "a server (built without the feature)"))
         } else if job.is_in_memory() {
             Ok(Loaded::default())
@@ -188,21 +188,10 @@ impl<J: LoadJob> FileThreads<J> {
             self.read(id, &job, job.address())?.map(Loaded::from)
         };
         let mut companions: Vec<Fetched> = Vec::new();
-        if let Ok(loaded) = &loaded {
-            for uri in job.companions() {
-                let bytes = self.read(id, &job, &uri)?;
-                companions.push((uri, bytes));
-            }
-            for _ in 0..MAX_DEPENDENCY_ROUNDS {
-                let dependencies = job.dependencies(loaded, &companions);
-                if dependencies.is_empty() {
-                    break;
-                }
-                for uri in dependencies {
-                    let bytes = self.read(id, &job, &uri)?;
-                    companions.push((uri, bytes));
-                }
-            }
+        if let Ok(content) = &loaded
+            && let Err(error) = self.read_companions(id, &job, content, &mut companions)?
+        {
+            (loaded, companions) = (Err(error), Vec::new());
         }
         let bytes_read = total_bytes(&loaded, &companions);
         permit.set_bytes(bytes_read.saturating_add(job.bytes_ahead()));
@@ -213,6 +202,33 @@ impl<J: LoadJob> FileThreads<J> {
         self.reads().under_way.retain(|read| read.id != id);
         job.mark_decoding();
         Ok(LoadedBytes { job, loaded, companions, bytes_read, bytes_http: 0, permit: Some(permit) })
+    }
+
+    /// Reads the companions of a content, and what it refers to.
+    fn read_companions(
+        &self,
+        id: u64,
+        job: &J,
+        content: &Loaded,
+        companions: &mut Vec<Fetched>,
+    ) -> Result<Result<(), IoError>, GivenUp> {
+        let (mut got, limits) = (content.bytes.len() as u64, self.files.limits());
+        let mut uris = job.companions();
+        for _ in 0..=MAX_DEPENDENCY_ROUNDS {
+            for uri in uris {
+                let bytes = self.read(id, job, &uri)?;
+                got += bytes.as_ref().map_or(0, Vec::len) as u64;
+                companions.push((uri, bytes));
+                if got > limits.max_content_bytes {
+                    return Ok(Err(files_too_large(job.address(), got, limits)));
+                }
+            }
+            uris = job.dependencies(content, companions);
+            if uris.is_empty() {
+                break;
+            }
+        }
+        Ok(Ok(()))
     }
 
     fn begin(&self, job: &J) -> u64 {

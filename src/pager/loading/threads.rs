@@ -45,7 +45,7 @@ impl<J: LoadJob> LoadThreads<J> {
     pub fn start(config: &LoadConfig) -> Result<Self, PagerError> {
         let (capacity, decoders) = (config.capacity(), config.decoders);
         let list = Arc::new(RequestList::new(capacity, config.max_files));
-        let budgets = LoadBudgets::new(config.max_bytes, config.waits_for_contents);
+        let budgets = LoadBudgets::new(config.max_bytes, config.waits_for_contents, config.limits.max_content_bytes);
         // Declared before the channels, so that those close first if a thread cannot start, and the others end.
         let mut threads = Self {
             list: list.clone(),

@@ -99,6 +99,8 @@ impl<'a> Buffers<'a> {
         };
         let Some(bytes) = self.bytes(compressed.buffer, compressed.offset, compressed.length)? else { return Ok(None) };
         self.context.budget.add_decoded(compressed.decoded_bytes() as u64)?;
+        // The decoder and the filter have a copy each.
+        self.context.budget.ask(2 * compressed.decoded_bytes() as u64)?;
         let bytes = compressed.decode(bytes).map_err(|reason| self.context.bad(reason))?;
         Ok(Some(decompressed.get_or_init(|| bytes)))
     }

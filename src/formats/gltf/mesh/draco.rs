@@ -11,7 +11,7 @@ use gltf::accessor::DataType;
 use gltf::mesh::Semantic;
 use serde_json::{Map, Value};
 
-use crate::fetch::IoError;
+use crate::fetch::{IoError, content_bytes_left};
 use crate::formats::gltf::accessors::{Buffers, Elements};
 use crate::formats::gltf::context::Context;
 
@@ -64,7 +64,8 @@ impl<'a> Compressed<'a> {
         let mut limits = DecodeLimits::default();
         limits.max_points = max_vertices;
         limits.max_faces = (indices as u64).div_ceil(3).max(max_vertices);
-        limits.max_decoded_bytes = max_decoded_bytes.min(context.options.limits.max_file_bytes);
+        limits.max_decoded_bytes =
+            max_decoded_bytes.min(context.options.limits.max_file_bytes).min(content_bytes_left());
         let mut mesh = Mesh::new();
         let mut buffer = DecoderBuffer::new(bytes).with_limits(limits);
         if let Err(error) = MeshDecoder::new().decode(&mut buffer, &mut mesh) {
@@ -81,6 +82,9 @@ impl<'a> Compressed<'a> {
         if points as u64 > max_vertices {
             return Err(bad(&format!("{points} vertices, the accessors have {vertices}")));
         }
+        // An attribute has up to four numbers of four bytes.
+        let attributes = u64::try_from(mesh.num_attributes()).unwrap_or(0);
+        context.budget.ask(16 * attributes.saturating_mul(points as u64))?;
         if points != vertices {
             context
                 .notes

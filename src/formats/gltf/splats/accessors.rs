@@ -58,6 +58,7 @@ pub(super) fn read(
         let Some(values) = required(&name, Dimensions::Vec3)? else { return Ok(None) };
         above.push(values);
     }
+    context.budget.ask(4 * (SplatHarmonics::words_of(degree) * count) as u64)?;
     let mut found = Found::new(count, degree, is_linear);
     let mut coefficients = vec![[0.0; 3]; above.len()];
     for i in 0..count {

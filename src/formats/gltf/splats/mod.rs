@@ -152,6 +152,8 @@ fn spz_file(
     let Some(bytes) = buffers.view(&view)? else { return Ok(None) };
     spz::read(bytes, is_linear, |count, bytes| {
         context.budget.add_vertices(count)?;
+        // The values, and those of all streams one after the other.
+        context.budget.ask(bytes)?;
         context.budget.add_decoded(bytes)
     })
     .map_err(|error| match error {

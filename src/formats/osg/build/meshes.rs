@@ -8,12 +8,18 @@ use super::coordinates::UvMap;
 use super::textures::BuiltTexture;
 use super::units::Unit;
 use super::{Builder, Meshes};
+use crate::fetch::about_to_allocate;
 use crate::formats::osg::error::{OsgError, Result};
 use crate::formats::osg::input::{Number, Values};
 use crate::formats::osg::objects::{Binding, BoundArray, GeometryObject, Indices, PrimitiveObject};
 use crate::math::Aabb;
 use crate::math::color::linear_rgba;
 use crate::scene::{AttributeFormat, Mesh, MeshVertex, PrimitiveMode, SecondUv, Topology, VertexAttributes};
+
+/// The bytes that a vertex takes until it is one of a mesh.
+const VERTEX_BYTES: u64 = 64;
+/// The bytes that an index takes: in its primitive set, assembled, and in the list of a mesh.
+const INDEX_BYTES: u64 = 12;
 
 const TOPOLOGIES: [Topology; 3] = [Topology::Triangles, Topology::Lines, Topology::Points];
 
@@ -253,6 +259,7 @@ impl Builder<'_> {
         let Some(positions) = geometry.vertices.as_ref().filter(|array| array.count() > 0) else { return Ok(empty) };
         let (count, sets) = (positions.count(), geometry.primitives.len());
         self.vertices = self.counted(self.vertices, count, "vertices of an OpenSceneGraph file", 1)?;
+        about_to_allocate(VERTEX_BYTES * count as u64)?;
         let uvs = |set: UvSet| Uvs { set, array: Attribute::new(geometry.uvs(set.unit), count, sets) };
         let mut arrays = Arrays {
             count,
@@ -322,6 +329,7 @@ impl Builder<'_> {
                 let (topology, list) = self.assembled(set, indices)?;
                 let Some(at) = TOPOLOGIES.iter().position(|known| *known == topology) else { continue };
                 self.vertices = self.counted(self.vertices, list.len(), "vertices of an OpenSceneGraph file", 1)?;
+                about_to_allocate(VERTEX_BYTES * list.len() as u64)?;
                 let (corners_of_part, indices) = &mut parts[at];
                 for (i, vertex) in list.iter().enumerate() {
                     let within = if is_per_primitive { i / corners.max(1) } else { 0 };
@@ -453,6 +461,7 @@ impl Builder<'_> {
 
     fn count_indices(&mut self, more: usize) -> Result<()> {
         self.indices = self.counted(self.indices, more, "indices of an OpenSceneGraph file", 8)?;
+        about_to_allocate(INDEX_BYTES * more as u64)?;
         Ok(())
     }
 

@@ -38,7 +38,7 @@ use super::motion::AnimationObject;
 use super::objects::{
     DrawableClass, DrawableObject, NodeClass, NodeObject, Object, StateObject, TerrainSettings, TextureTarget,
 };
-use crate::fetch::IoError;
+use crate::fetch::{IoError, about_to_allocate};
 use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::math::BoundingSphere;
@@ -48,6 +48,8 @@ use crate::state::{StateSet, TexGen, TextureBinding};
 /// A file may have one node for this number of [`Limits::max_elements`](crate::fetch::Limits). A shared node counts at each
 /// place.
 const ELEMENTS_PER_NODE: usize = 16;
+/// The bytes that a node takes, in the tree and in the arrays of a page.
+const NODE_BYTES: u64 = 1024;
 
 /// The file that nodes are made of, and the options of its reading.
 #[derive(Clone, Copy)]
@@ -186,6 +188,7 @@ impl<'a> Builder<'a> {
     fn count_nodes(&mut self, more: usize) -> Result<(), IoError> {
         let limit = self.source.options.limits.max_elements / ELEMENTS_PER_NODE;
         self.nodes = self.count(self.nodes, more, "nodes of an OpenSceneGraph file", limit)?;
+        about_to_allocate(NODE_BYTES * more as u64).map_err(|error| error.at(self.source.uri))?;
         Ok(())
     }
 

@@ -3,6 +3,7 @@
 use glam::{DQuat, DVec3};
 
 use super::Reader;
+use crate::fetch::about_to_allocate;
 use crate::formats::osg::error::{OsgError, Result};
 use crate::formats::osg::input::{GL_NAMES, Names, Number, doubles, floats, value_of};
 use crate::formats::osg::objects::Object;
@@ -38,6 +39,12 @@ impl Reader<'_> {
                 self.input.remaining()
             ))),
         }
+    }
+
+    /// Reads as many elements as a list has.
+    fn elements<T>(&mut self, count: usize, mut read: impl FnMut(&mut Self) -> Result<T>) -> Result<Vec<T>> {
+        about_to_allocate(size_of::<T>() as u64 * count as u64)?;
+        (0..count).map(|_| read(self)).collect()
     }
 
     /// Returns true if a member follows: always in binary.
@@ -149,26 +156,22 @@ impl Reader<'_> {
     }
 
     /// Reads a number and that many elements in a block.
-    pub(super) fn list<T>(&mut self, mut read: impl FnMut(&mut Self) -> Result<T>) -> Result<Vec<T>> {
+    pub(super) fn list<T>(&mut self, read: impl FnMut(&mut Self) -> Result<T>) -> Result<Vec<T>> {
         let count = self.count()?;
-        self.block(|reader| (0..count).map(|_| read(reader)).collect())
+        self.block(|reader| reader.elements(count, read))
     }
 
     /// Reads a number and, unless it is 0, that many elements in a block.
-    pub(super) fn list_unless_empty<T>(&mut self, mut read: impl FnMut(&mut Self) -> Result<T>) -> Result<Vec<T>> {
+    pub(super) fn list_unless_empty<T>(&mut self, read: impl FnMut(&mut Self) -> Result<T>) -> Result<Vec<T>> {
         let count = self.count()?;
         if count == 0 {
             return Ok(Vec::new());
         }
-        self.block(|reader| (0..count).map(|_| read(reader)).collect())
+        self.block(|reader| reader.elements(count, read))
     }
 
     /// Reads a member that is a vector: in binary its elements are in no block.
-    pub(super) fn vector_member<T>(
-        &mut self,
-        name: &str,
-        mut read: impl FnMut(&mut Self) -> Result<T>,
-    ) -> Result<Vec<T>> {
+    pub(super) fn vector_member<T>(&mut self, name: &str, read: impl FnMut(&mut Self) -> Result<T>) -> Result<Vec<T>> {
         if !self.member(name)? {
             return Ok(Vec::new());
         }
@@ -176,7 +179,7 @@ impl Reader<'_> {
         if count == 0 {
             return Ok(Vec::new());
         }
-        self.in_braces(|reader| (0..count).map(|_| read(reader)).collect())
+        self.in_braces(|reader| reader.elements(count, read))
     }
 
     /// Reads the members of the class Object, and returns its name.

@@ -32,8 +32,8 @@ pub(super) use self::textures::{PLANES, TEX_GEN_MODES};
 
 use super::error::{OsgError, Result};
 use super::input::{Input, Opened, open};
-use super::objects::{ArrayObject, Object};
-use crate::fetch::Limits;
+use super::objects::{ArrayObject, OBJECT_BYTES, Object};
+use crate::fetch::{Limits, about_to_allocate};
 use crate::formats::ignored::{Ignored, Notes};
 
 /// Classes without effect on what is drawn, which are skipped without a note.
@@ -121,6 +121,7 @@ impl Reader<'_> {
             let (got, limit) = (self.open.len() as u64 + 1, self.max_depth as u64);
             return Err(OsgError::TooLarge { what: "depth of objects", got, limit });
         }
+        about_to_allocate(OBJECT_BYTES)?;
         self.open.push(id);
         let object = self.members_of(&class)?;
         if object.height() > self.max_depth {

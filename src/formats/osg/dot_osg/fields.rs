@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use glam::DQuat;
 
-use crate::fetch::Limits;
+use crate::fetch::{Limits, about_to_allocate};
 use crate::formats::osg::error::{OsgError, Result};
 
 /// Blocks whose first field may begin with a number: OpenGL's modes.
@@ -99,9 +99,12 @@ pub(super) fn number_of(word: &str) -> Option<f64> {
 pub(super) fn parse<'a>(text: &'a str, limits: &Limits) -> Result<Block<'a>> {
     let limit = limits.max_elements;
     let mut parser =
-        Parser { text, at: 0, line: 1, max_depth: limits.max_depth as usize, limit, fields: 0, numbers: 0 };
+        Parser { text, at: 0, line: 1, max_depth: limits.max_depth as usize, limit, fields: 0, numbers: 0, unasked: 0 };
     parser.block(0, false)
 }
+
+/// The budget of a content is asked for this many bytes at once.
+const ASKED_BYTES: u64 = 64 << 10;
 
 struct Parser<'a> {
     text: &'a str,
@@ -113,6 +116,8 @@ struct Parser<'a> {
     limit: usize,
     fields: usize,
     numbers: usize,
+    /// Bytes of what was parsed since the content's budget was asked.
+    unasked: u64,
 }
 
 enum Token<'a> {
@@ -184,6 +189,15 @@ impl<'a> Parser<'a> {
         Err(OsgError::invalid(format!("line {}: a string does not end", self.line)))
     }
 
+    /// Adds bytes that a list takes for one more element, with room to grow. Asks the content's budget now and then.
+    fn add_bytes(&mut self, element_bytes: usize) -> Result<()> {
+        self.unasked += 2 * element_bytes as u64;
+        if self.unasked >= ASKED_BYTES {
+            about_to_allocate(std::mem::take(&mut self.unasked))?;
+        }
+        Ok(())
+    }
+
     fn count(&self, what: &'static str, got: usize, limit: usize) -> Result<()> {
         let (got, limit) = (got as u64, limit as u64);
         if got > limit { Err(OsgError::TooLarge { what, got, limit }) } else { Ok(()) }
@@ -210,14 +224,19 @@ impl<'a> Parser<'a> {
                             self.numbers,
                             self.limit.saturating_mul(NUMBERS_PER_ELEMENT),
                         )?;
+                        self.add_bytes(size_of::<f64>())?;
                         block.numbers.push(number);
                         continue;
                     }
                     is_list = false;
                     // Behind a block begins another field.
                     match block.fields.last_mut().filter(|last| !is_first && last.block.is_none()) {
-                        Some(field) => field.words.push(word),
+                        Some(field) => {
+                            self.add_bytes(size_of::<Cow<'_, str>>())?;
+                            field.words.push(word);
+                        }
                         None => {
+                            self.add_bytes(size_of::<Field<'_>>() + size_of::<Cow<'_, str>>())?;
                             self.fields += 1;
                             self.count("fields of an .osg file", self.fields, self.limit)?;
                             block.fields.push(Field { words: vec![word], block: None });
@@ -229,6 +248,7 @@ impl<'a> Parser<'a> {
                         block.fields.push(Field::default());
                     }
                     let has_modes = block.fields.last().is_some_and(|field| BLOCKS_OF_MODES.contains(&field.word(0)));
+                    self.add_bytes(size_of::<Field<'_>>())?;
                     let inner = self.block(depth + 1, has_modes)?;
                     if let Some(field) = block.fields.last_mut() {
                         field.block = Some(inner);

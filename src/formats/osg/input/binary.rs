@@ -3,6 +3,7 @@
 use super::names::Names;
 use super::values::{Number, Values};
 use super::{Input, decoded};
+use crate::fetch::about_to_allocate;
 use crate::formats::osg::error::{OsgError, Result};
 
 /// The version since which sizes of blocks have 64 bits.
@@ -110,6 +111,7 @@ impl Input for BinaryInput<'_> {
         let swap = self.is_big_endian;
         let too_long = || OsgError::invalid(format!("an array of {count} numbers"));
         let bytes = self.take(count.checked_mul(number.size_bytes()).ok_or_else(too_long)?)?;
+        about_to_allocate(number.memory_bytes() * count as u64)?;
         Ok(match number {
             Number::F32 => Values::F32(read(bytes, swap, f32::from_le_bytes)),
             Number::F64 => Values::F64(read(bytes, swap, f64::from_le_bytes)),

@@ -3,6 +3,7 @@
 use super::names::{Names, value_of};
 use super::values::{Number, Values};
 use super::{Input, decoded};
+use crate::fetch::about_to_allocate;
 use crate::formats::osg::error::{OsgError, Result};
 
 /// Reads the text encoding.
@@ -84,6 +85,7 @@ impl Input for TextInput<'_> {
         if count > self.remaining() / 2 + 1 {
             return Err(OsgError::invalid(format!("line {}: an array of {count} numbers", self.line())));
         }
+        about_to_allocate(number.memory_bytes() * count as u64)?;
         Ok(match number {
             Number::F32 => {
                 let values = (0..count).map(|_| self.number(number).map(|value| value as f32));

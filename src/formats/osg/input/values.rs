@@ -24,6 +24,11 @@ impl Number {
         }
     }
 
+    /// Returns the size in [`Values`] in bytes.
+    pub fn memory_bytes(self) -> u64 {
+        if self == Self::F64 { 8 } else { 4 }
+    }
+
     /// Returns the value that stands for 1 where integers are normalized.
     pub fn one(self) -> f64 {
         match self {
@@ -78,7 +83,6 @@ impl Values {
 
     /// Returns the bytes of memory that the values take.
     pub fn size_bytes(&self) -> u64 {
-        let each = if matches!(self, Self::F64(_)) { 8 } else { 4 };
-        (self.len() * each) as u64
+        self.number().memory_bytes() * self.len() as u64
     }
 }

@@ -24,8 +24,8 @@ use std::collections::HashMap;
 use super::classes::ReadFile;
 use super::error::{OsgError, Result};
 use super::input::{BinaryInput, Input as _, Number, inflate};
-use super::objects::Object;
-use crate::fetch::Limits;
+use super::objects::{OBJECT_BYTES, Object};
+use crate::fetch::{Limits, about_to_allocate};
 use crate::formats::ignored::Notes;
 
 /// The first number of a file, in the byte order of the writer.
@@ -119,6 +119,7 @@ impl Reader<'_> {
         if let Some(known) = self.objects.get(&(kind, id)) {
             return Ok(known.clone());
         }
+        about_to_allocate(OBJECT_BYTES)?;
         let object = self.nested(read)?;
         if object.height() > self.max_depth {
             // References to nodes that were read before can be deeper than the nesting of the file.

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::{Kind, Reader, ids};
+use crate::fetch::about_to_allocate;
 use crate::formats::osg::classes::{
     CHILDREN_OF_TILES, COMPOSITES, FURTHER_LAYERS, HEIGHTS_ELSEWHERE, LAYERS_ELSEWHERE, image_of_file,
 };
@@ -240,6 +241,7 @@ impl Reader<'_> {
             return Err(OsgError::TooLarge { what: "equal heights of an .ive file", got, limit });
         }
         self.equal_heights = total;
+        about_to_allocate(Number::F32.memory_bytes() * count as u64)?;
         Ok(Values::F32(vec![value; count]))
     }
 }

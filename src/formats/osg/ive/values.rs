@@ -3,6 +3,7 @@
 use glam::{DMat4, DQuat, DVec3};
 
 use super::{Reader, ids};
+use crate::fetch::about_to_allocate;
 use crate::formats::osg::error::{OsgError, Result};
 use crate::formats::osg::input::{Input as _, Number, doubles, floats};
 
@@ -87,6 +88,7 @@ impl Reader<'_> {
         mut read: impl FnMut(&mut Self) -> Result<T>,
     ) -> Result<Vec<T>> {
         let count = self.count(element_bytes)?;
+        about_to_allocate(size_of::<T>() as u64 * count as u64)?;
         (0..count).map(|_| read(self)).collect()
     }
 

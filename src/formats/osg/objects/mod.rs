@@ -26,6 +26,9 @@ use super::motion::{AnimationObject, PathObject, SequenceObject};
 use super::text::TextObject;
 use crate::math::Ellipsoid;
 
+/// About the bytes that an object of a file takes, with its members.
+pub(super) const OBJECT_BYTES: u64 = 512;
+
 /// An object of a file. Objects with the same id are the same value.
 #[derive(Clone, Debug)]
 pub(super) enum Object {

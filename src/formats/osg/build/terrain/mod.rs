@@ -11,7 +11,7 @@ use self::grid::{Grid, GridVertex};
 pub(super) use self::skirts::is_ground_with_skirt;
 use super::Builder;
 use super::looks::{GL_BLEND, GL_CULL_FACE};
-use crate::fetch::IoError;
+use crate::fetch::{IoError, about_to_allocate};
 use crate::formats::osg::input::{Number, Values};
 use crate::formats::osg::objects::{
     ArrayObject, AttributeObject, Binding, BlendingPolicy, BoundArray, DrawableClass, DrawableObject, GeometryObject,
@@ -22,6 +22,8 @@ use crate::math::BoundingSphere;
 use crate::scene::{Node, TexelFormat, Texture};
 
 const GL_CLAMP_TO_EDGE: u32 = 0x812f;
+/// The bytes that a vertex of the grid takes: its place and number, six indices, its attributes, and twice as much in a geometry.
+const GRID_VERTEX_BYTES: u64 = 256;
 const GL_TRIANGLES: u32 = 4;
 const GL_LINEAR: u32 = 0x2601;
 /// OSG's hint that a state set's drawables are transparent.
@@ -70,6 +72,7 @@ impl Builder<'_> {
         let Some(grid) = Grid::new(tile, &settings) else { return Ok(None) };
         let limit = self.source.options.limits.max_elements;
         self.count(self.vertices, grid.vertex_count(), "vertices of an OpenSceneGraph file", limit)?;
+        about_to_allocate(GRID_VERTEX_BYTES * grid.vertex_count() as u64).map_err(|error| error.at(self.source.uri))?;
         let mesh = grid.mesh();
         let center = grid.locator.model(DVec3::new(0.5, 0.5, 0.0));
         if mesh.indices.is_empty() || !center.is_finite() {

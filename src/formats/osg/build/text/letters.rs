@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 
 use super::glyphs::{self, Letter};
-use crate::fetch::IoError;
+use crate::fetch::{IoError, about_to_allocate};
 use crate::formats::osg::build::Builder;
 use crate::formats::osg::text::{BOX_FILLED, BOX_OUTLINE, CROSS, LETTERS_ALONE, TextObject};
 use crate::math::color::linear_rgba;
@@ -201,6 +201,7 @@ impl Builder<'_> {
         let offsets = text.backdrop.offsets();
         let more = lines.letters.len().saturating_mul(4 * (offsets.clone().count() + 1));
         self.vertices = self.count(self.vertices, more, "vertices of an OpenSceneGraph file", limit)?;
+        about_to_allocate(2 * (size_of::<MeshVertex>() * more) as u64).map_err(|error| error.at(self.source.uri))?;
         let [nx, ny, nz] = (text.rotation * DVec3::Z).to_array().map(|part| (part * 127.0).round() as i8);
         let packed = |color: [f32; 4]| linear_rgba(color).map(|part| (part * 255.0).round() as u8);
         let mut backdrop_color = text.backdrop.color;
