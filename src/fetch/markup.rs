@@ -1,6 +1,6 @@
 //! HTML and XML: pages that servers and login portals send with status 200 instead of the content, and attributions.
 
-use super::IoError;
+use super::{IoError, path_of};
 
 /// Fails with [`IoError::Markup`] if the bytes begin like an HTML or XML document. Terrain tiles begin with a number, whose
 /// first byte may be that of `<`.
@@ -10,9 +10,28 @@ pub(crate) fn refuse_markup(uri: &str, bytes: &[u8]) -> Result<(), IoError> {
     let start = &bytes[..bytes.len().min(LOOKED_AT)];
     let is_text = |byte: &u8| !byte.is_ascii_control() || byte.is_ascii_whitespace();
     match text_and_first_byte(bytes).1 {
-        Some(b'<') if start.iter().all(is_text) => Err(IoError::Markup { uri: uri.to_owned() }),
+        Some(b'<') if start.iter().all(is_text) => Err(match model_of_xml(uri, start) {
+            Some(what) => IoError::unsupported(uri, what),
+            None => IoError::Markup { uri: uri.to_owned() },
+        }),
         _ => Ok(()),
     }
+}
+
+/// Returns what a model in XML is, by its name; `None` for other names and for HTML, which a server sends instead of the file.
+fn model_of_xml(uri: &str, start: &[u8]) -> Option<&'static str> {
+    const MODELS: [(&str, &str); 4] = [
+        (".osgx", "OpenSceneGraph's XML (.osgx; osgconv converts it to .osgb)"),
+        (".dae", "a COLLADA model (.dae)"),
+        (".x3d", "an X3D model (.x3d)"),
+        (".kml", "a KML document (.kml)"),
+    ];
+    let start = String::from_utf8_lossy(start).to_ascii_lowercase();
+    if start.contains("<html") || start.contains("<!doctype html") {
+        return None;
+    }
+    let name = path_of(uri).to_ascii_lowercase();
+    MODELS.iter().find(|(extension, _)| name.ends_with(extension)).map(|(_, what)| *what)
 }
 
 /// Returns true for the text that stands for a file of Git LFS where the file was not downloaded.
@@ -78,5 +97,14 @@ mod tests {
         assert_eq!(plain_text("an < unclosed tag"), "an");
         assert_eq!(plain_text(&"ä".repeat(9_000)).chars().count(), 500);
         assert_eq!(plain_text("a\x1b]0;t\x07 <b>b</b>\u{9b}"), "a]0;t b");
+    }
+    #[test]
+    fn models_in_xml_are_named() {
+        let reason = |uri: &str, text: &str| refuse_markup(uri, text.as_bytes()).unwrap_err().to_string();
+        let xml = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<Scene>";
+        assert!(reason("a/b.OSGX?x=1", xml).contains("OpenSceneGraph's XML (.osgx"));
+        assert!(reason("b.dae", xml).contains("COLLADA"));
+        assert!(reason("b.osgx", "<!DOCTYPE html><html>").contains("a web page"));
+        assert!(reason("b.glb", xml).contains("a web page"));
     }
 }

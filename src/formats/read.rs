@@ -386,6 +386,8 @@ impl ModelReader<'_> {
                 tileset::read(uri, json, companions, options, notes)
             } else if terrain::is_layer_text(json) {
                 terrain::read(uri, json, companions, options)
+            } else if is_geojson(json) {
+                Err(IoError::unsupported(uri, "GeoJSON"))
             } else {
                 read_gltf(json, None, None)
             };
@@ -418,6 +420,16 @@ impl ModelReader<'_> {
             format!("of no known format: it begins with {start:02x?} (\"{}\")", start.escape_ascii()),
         ))
     }
+}
+
+/// Returns true for GeoJSON, which tile sets have with MAXAR_content_geojson.
+fn is_geojson(json: &[u8]) -> bool {
+    #[derive(serde::Deserialize)]
+    struct Probe {
+        r#type: String,
+    }
+    let probe = serde_json::from_slice::<Probe>(json);
+    probe.is_ok_and(|probe| matches!(probe.r#type.as_str(), "FeatureCollection" | "Feature" | "GeometryCollection"))
 }
 
 #[cfg(all(test, feature = "http"))]

@@ -1,8 +1,10 @@
-//! Contents whose buffers and images are files, read as a whole set.
+//! Contents whose buffers and images are files, read as a whole set. Unusual contents, and ones with invalid parts: those
+//! are left out or get their default, and are listed; the rest is drawn.
 
-use serde_json::json;
+use serde_json::{Value, json};
 use terrane::fetch::{IoError, Limits};
 use terrane::formats::verify;
+use terrane::scene::AlphaMode;
 
 use crate::gltf_builder::*;
 
@@ -275,4 +277,196 @@ fn colours_of_integers_are_normalized_whatever_they_say() {
             assert_eq!(kinds(&read).len(), usize::from(!normalized));
         }
     }
+}
+
+/// Two textured triangles with their own meshes, nodes 0 and 1, and materials.
+fn pair() -> GltfBuilder {
+    let mut gltf = GltfBuilder::new();
+    let positions = gltf.floats("VEC3", &TRIANGLE);
+    let uvs = gltf.floats("VEC2", &[0.0; 6]);
+    let indices = gltf.accessor(UNSIGNED_SHORT, "SCALAR", 3, &shorts(&[0, 1, 2]));
+    gltf.push("images", json!({ "uri": data_uri(&png(1, [0, 0, 255])) }));
+    gltf.push("samplers", json!({ "magFilter": 9728 }));
+    gltf.push("textures", json!({ "source": 0, "sampler": 0 }));
+    for material in 0..2 {
+        let color = json!({ "baseColorTexture": { "index": 0 }, "baseColorFactor": [1, 0, 0, 1] });
+        gltf.push("materials", json!({ "pbrMetallicRoughness": color, "alphaMode": "MASK" }));
+        let attributes = json!({ "POSITION": positions, "TEXCOORD_0": uvs });
+        gltf.draw(json!({ "attributes": attributes, "indices": indices, "material": material }));
+    }
+    gltf.json["scenes"] = json!([{ "nodes": [0, 1] }]);
+    gltf
+}
+
+/// Reads the pair after a change. Returns the number of drawables, and the notes with their counts.
+fn changed(pointer: &str, value: Value) -> (Read, Vec<(String, u64)>) {
+    let mut gltf = pair();
+    let (owner, member) = pointer.rsplit_once('/').unwrap();
+    match gltf.json.pointer_mut(owner).unwrap() {
+        Value::Array(list) => list[member.parse::<usize>().unwrap()] = value,
+        owner => owner[member] = value,
+    }
+    let read = gltf.read();
+    let kinds = read.ignored.iter().map(|(kind, count)| (kind.to_owned(), count)).collect();
+    (read, kinds)
+}
+
+#[test]
+fn whole_files_need_no_repair() {
+    let read = pair().read();
+    assert!(read.drawables().len() == 2 && read.ignored.is_empty(), "{:?}", read.ignored);
+}
+
+/// Regression: each of these refused the whole file.
+#[test]
+fn parts_that_cannot_be_drawn_are_left_out_alone() {
+    for (pointer, value, kind) in [
+        ("/meshes/0/primitives/0/indices", json!(9), "its indices do not exist"),
+        ("/meshes/0/primitives/0/indices", json!("a"), "its indices do not exist"),
+        ("/meshes/0/primitives/0/mode", json!(7), "primitive of an unknown mode"),
+        ("/meshes/0/primitives/0", json!(7), "invalid primitive"),
+        ("/meshes/0/primitives/0", json!({}), "invalid primitive"),
+        ("/meshes/0/primitives", json!(7), "mesh that is invalid"),
+        ("/meshes/0", json!("a"), "mesh that is invalid"),
+        ("/nodes/0/mesh", json!(2), "mesh that does not exist"),
+        ("/nodes/0/mesh", json!(-1), "mesh that does not exist"),
+        ("/nodes/0/matrix", json!([1, 2, 3]), "node that is invalid"),
+        ("/scenes/0/nodes", json!([1, 7]), "node that does not exist"),
+        ("/scenes/0/nodes", json!(["a", 1]), "node that does not exist"),
+    ] {
+        let (read, kinds) = changed(pointer, value.clone());
+        assert_eq!(read.drawables().len(), 1, "{pointer} {value}");
+        assert!(kinds.len() == 1 && kinds[0].0.contains(kind) && kinds[0].1 == 1, "{pointer} {value}: {kinds:?}");
+    }
+    let (read, kinds) = changed("/meshes/0/primitives/0/attributes/POSITION", json!(9));
+    let kinds: Vec<&str> = kinds.iter().map(|(kind, _)| &**kind).collect();
+    let expected = ["glTF: attribute whose accessor does not exist or is invalid", "glTF: primitive without positions"];
+    assert_eq!((read.drawables().len(), &kinds[..]), (1, &expected[..]));
+}
+
+#[test]
+fn parts_that_are_invalid_get_their_default() {
+    for (pointer, value, kind) in [
+        ("/materials/0/alphaMode", json!("GLASS"), "unknown alphaMode"),
+        ("/materials/0/alphaMode", json!(7), "unknown alphaMode"),
+        ("/materials/0/normalTexture", json!({ "index": 3 }), "texture that does not exist"),
+        ("/materials/0/pbrMetallicRoughness/baseColorTexture", json!({ "index": 3 }), "texture that does not exist"),
+        ("/materials/0/pbrMetallicRoughness/baseColorFactor", json!([1, 1]), "property that is invalid"),
+        ("/materials/0/doubleSided", json!("yes"), "property that is invalid"),
+        ("/materials/0", json!(7), "material that is invalid"),
+        ("/meshes/0/primitives/0/material", json!(2), "material that does not exist"),
+        ("/meshes/0/primitives/0/attributes/TEXCOORD_0", json!(9), "attribute whose accessor"),
+        ("/meshes/0/primitives/0/targets", json!([{ "POSITION": 9 }]), "attribute whose accessor"),
+        ("/meshes/0/weights", json!("a"), "weights of morph targets"),
+        ("/nodes/0/skin", json!(0), "skin that does not exist"),
+        ("/nodes/0/children", json!([7]), "node that does not exist"),
+        ("/nodes/0/children", json!(7), "list of nodes"),
+        ("/nodes/0/weights", json!("a"), "property of a node"),
+        ("/textures/0/source", json!(4), "image that does not exist"),
+        ("/textures/0/sampler", json!(4), "sampler that does not exist"),
+        ("/samplers/0/magFilter", json!(1), "unknown filter or wrap mode"),
+        ("/samplers/0/wrapS", json!(1), "unknown filter or wrap mode"),
+        ("/images/0/bufferView", json!(99), "image whose bufferView"),
+        ("/skins", json!([{}]), "skin that is invalid"),
+        ("/scene", json!(4), "default scene that does not exist"),
+        ("/asset", json!(4), "asset without a valid version"),
+        ("/extensionsUsed", json!(4), "member of the document that is invalid"),
+    ] {
+        let (read, kinds) = changed(pointer, value.clone());
+        assert_eq!(read.drawables().len(), 2, "{pointer} {value}");
+        assert!(
+            kinds[0].0.contains(kind) || kinds.iter().any(|(of, _)| of.contains(kind)),
+            "{pointer} {value}: {kinds:?}"
+        );
+    }
+    let (read, _) = changed("/materials/0/alphaMode", json!("GLASS"));
+    let materials: Vec<_> = read.drawables().into_iter().map(|(_, drawable)| drawable.material).collect();
+    assert_eq!((materials[0].alpha, materials[1].alpha), (AlphaMode::Opaque, AlphaMode::Mask(0.5)));
+    assert!(materials.iter().all(|material| material.texture.is_some() && material.base_color == [1.0, 0.0, 0.0, 1.0]));
+    let (read, _) = changed("/materials/0/pbrMetallicRoughness/baseColorTexture", json!({ "index": 3 }));
+    assert!(read.drawables()[0].1.material.texture.is_none() && read.drawables()[1].1.material.texture.is_some());
+}
+
+/// All drawables need the accessor.
+#[test]
+fn file_of_which_nothing_is_left_says_why() {
+    for (pointer, value, why) in [
+        ("/accessors/0/componentType", json!(5124), "accessors[0] is invalid"),
+        ("/accessors/0/type", json!("VEC9"), "accessors[0] is invalid"),
+        ("/accessors/0/count", json!(-3), "accessors[0] is invalid: invalid value"),
+        ("/accessors/0/bufferView", json!(44), "accessors[0] is invalid"),
+        ("/accessors/0/sparse", json!({ "count": 1 }), "accessors[0] is invalid"),
+        ("/bufferViews/0/buffer", json!(3), "bufferViews[0] is invalid"),
+        ("/accessors", json!([]), "accessor"),
+        ("/accessors", json!(7), "accessor"),
+    ] {
+        let mut gltf = pair();
+        let (owner, member) = pointer.rsplit_once('/').unwrap();
+        gltf.json.pointer_mut(owner).unwrap()[member] = value.clone();
+        let error = gltf.error();
+        assert!(error.contains(why), "{pointer} {value}: {error}");
+    }
+}
+
+/// Regression: such trees were refused.
+#[test]
+fn nodes_with_several_parents_are_drawn_once() {
+    const KIND: &str = "glTF: node with several parents (drawn below one of them)";
+    let moved = |children: Value| json!({ "translation": [5, 0, 0], "children": children });
+    for (nodes, roots, removed, expected) in [
+        (vec![moved(json!([0])), json!({ "children": [0, 1] })], json!([2, 3]), 1, [[5.0, 0.0, 0.0], [0.0; 3]]),
+        (vec![moved(json!([0, 0, 1]))], json!([2]), 1, [[5.0, 0.0, 0.0]; 2]),
+        // A scene that lists all nodes, a child before its parent.
+        (vec![moved(json!([0, 1]))], json!([0, 1, 2]), 2, [[5.0, 0.0, 0.0]; 2]),
+        (vec![moved(json!([0, 1]))], json!([2, 2]), 1, [[5.0, 0.0, 0.0]; 2]),
+        // The parent is in no scene.
+        (vec![moved(json!([0]))], json!([0, 1]), 0, [[0.0; 3]; 2]),
+    ] {
+        let mut gltf = pair();
+        nodes.into_iter().for_each(|node| _ = gltf.push("nodes", node));
+        gltf.json["scenes"] = json!([{ "nodes": roots }]);
+        let read = gltf.read();
+        let places: Vec<_> = read.drawables().iter().map(|(map, _)| map.translation.to_array()).collect();
+        assert_eq!((&places[..], read.ignored.count(KIND)), (&expected[..], removed), "{roots}");
+    }
+    // A circle is cut.
+    let mut gltf = pair();
+    gltf.push("nodes", json!({ "children": [0, 1, 3] }));
+    gltf.push("nodes", json!({ "children": [2] }));
+    for roots in [json!([2]), json!([3]), json!([2, 3])] {
+        gltf.json["scenes"] = json!([{ "nodes": roots }]);
+        let read = gltf.read();
+        assert_eq!(read.drawables().len(), 2, "{roots}");
+        assert_eq!(read.ignored.count("glTF: node that is its own ancestor"), 1, "{roots}");
+    }
+}
+
+/// Regression: one node whose instances or skin are invalid refused the whole file.
+#[test]
+fn invalid_instances_and_skins_take_their_mesh_alone() {
+    let (read, kinds) = changed("/nodes/0/extensions", json!({ "EXT_mesh_gpu_instancing": { "attributes": {} } }));
+    assert_eq!(read.drawables().len(), 1);
+    assert_eq!(kinds, [("glTF: instances that are not drawn because they are invalid".to_owned(), 1)]);
+    let mut gltf = pair();
+    gltf.push("skins", json!({ "joints": [1], "inverseBindMatrices": 0 }));
+    gltf.json["nodes"][0]["skin"] = 0.into();
+    let read = gltf.read();
+    assert_eq!(read.drawables().len(), 1);
+    assert_eq!(read.ignored.count("glTF: mesh that is not drawn because its skin is invalid"), 1);
+}
+
+/// An invalid attribute leaves the others.
+#[test]
+fn attributes_of_the_wrong_length_are_left_out() {
+    let mut gltf = pair();
+    let short = gltf.floats("VEC3", &[0.0; 6]);
+    for name in ["NORMAL", "COLOR_0"] {
+        gltf.json["meshes"][0]["primitives"][0]["attributes"][name] = short.into();
+    }
+    let read = gltf.read();
+    assert_eq!(read.drawables().len(), 2);
+    assert_eq!(mesh_of(&read.drawables()[0].1).vertices[0].color, [255; 4]);
+    let kinds: Vec<_> = read.ignored.iter().collect();
+    let note = |name: &str| format!("glTF: {name} of the wrong type or length (drawn without it)");
+    assert_eq!(kinds, [(&*note("COLOR_0"), 1), (&*note("NORMAL"), 1)]);
 }

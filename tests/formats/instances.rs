@@ -199,9 +199,25 @@ fn i3dm_columns_may_be_lists_in_the_json() {
     assert_eq!(read(single)[0], [one, [5.0, 0.0, 0.0], [0.0, 0.0, 5.0]], "a list of one number is no offset");
     let short = r#"{"INSTANCES_LENGTH":1,"POSITION":[1,2]}"#;
     let error = instances(i3dm(short, &[], 1, &model()), Vec::new()).unwrap_err().to_string();
-    assert!(error.contains("a column reaches beyond"), "{error}");
+    assert!(error.contains("POSITION has 2 numbers, too few for 1 rows"), "{error}");
     let odd = instances(i3dm(r#"{"INSTANCES_LENGTH":"x"}"#, &[], 1, &model()), Vec::new()).unwrap_err().to_string();
     assert!(odd.contains("neither what its name says nor a byteOffset"), "{odd}");
+}
+
+/// Regression: a list in the JSON that was too short, and a column of the binary part, read into the list behind it.
+#[test]
+fn short_i3dm_columns_are_refused_by_name() {
+    for (columns, named) in [
+        (r#""POSITION":[1,2,3,4,5],"SCALE":[5,6]"#, "POSITION has 5 numbers"),
+        (r#""POSITION":[1,2,3,4,5,6],"SCALE":[5],"SCALE_NON_UNIFORM":[1,1,1,1,1,1]"#, "SCALE has 1 numbers"),
+        (r#""POSITION":[1,2,3,4,5,6],"BATCH_ID":[]"#, "BATCH_ID has 0 numbers"),
+        (r#""POSITION":[1,2,3,4,5,6],"SCALE":{"byteOffset":4}"#, "SCALE has 4 bytes"),
+    ] {
+        let table = format!(r#"{{"INSTANCES_LENGTH":2,{columns}}}"#);
+        let bytes = i3dm(&table, &floats(&[2.0, 3.0]), 1, &model());
+        let error = instances(bytes, Vec::new()).unwrap_err().reason();
+        assert!(error.contains(named) && error.contains("2 rows"), "{error}");
+    }
 }
 
 /// Regression: a vector tile in a composite took the mesh beside it.

@@ -21,8 +21,6 @@ pub(crate) use lru::{MAX_CACHED_ARCHIVES, MAX_CACHED_DIRECTORY_BYTES, evict_lru}
 pub use packed::fuzz_packed;
 #[cfg(feature = "testing")]
 pub use pmtiles::fuzz_pmtiles;
-#[cfg(all(feature = "http", feature = "testing"))]
-pub(crate) use remote::parse_content_range;
 #[cfg(feature = "http")]
 pub(crate) use remote::{MemberUri, RemoteArchives};
 #[cfg(feature = "http")]

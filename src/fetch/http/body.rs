@@ -93,3 +93,10 @@ pub(super) fn decode_claimed(
     claim.keep(decoded.len() as u64);
     Ok(decoded)
 }
+
+/// Parses the header `Content-Range` into the first and the last offset and the size of the whole.
+pub(in crate::fetch) fn parse_content_range(text: &str) -> Option<(u64, u64, u64)> {
+    let (span, length) = text.trim().strip_prefix("bytes ")?.split_once('/')?;
+    let (first, last) = span.split_once('-')?;
+    Some((first.trim().parse().ok()?, last.trim().parse().ok()?, length.trim().parse().ok()?))
+}

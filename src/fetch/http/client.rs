@@ -5,6 +5,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::blocking::MAX_BLOCKING_THREADS;
+#[cfg(feature = "testing")]
+use super::body::parse_content_range;
 use super::body::{HttpBody, accept_all_encodings, content_encodings, decode_body};
 use super::cache_access::{CachePolicy, HttpCache};
 use super::config::HttpConfig;
@@ -14,8 +16,6 @@ use super::hosts::DnsResolver;
 use super::retry_policy::retry_after;
 use super::revalidation;
 use super::transport::Transport;
-#[cfg(feature = "testing")]
-use crate::fetch::archive::parse_content_range;
 use crate::fetch::archive::{MemberUri, RemoteArchives};
 use crate::fetch::archive_names::split_url;
 #[cfg(feature = "testing")]

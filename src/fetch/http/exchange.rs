@@ -12,10 +12,11 @@ use std::time::{Duration, SystemTime};
 
 use reqwest::Version;
 use reqwest::header::{
-    ACCEPT, COOKIE, HeaderMap, HeaderValue, IF_MODIFIED_SINCE, IF_NONE_MATCH, LOCATION, RANGE, VARY,
+    ACCEPT, CONTENT_RANGE, COOKIE, HeaderMap, HeaderValue, IF_MODIFIED_SINCE, IF_NONE_MATCH, LOCATION, RANGE, VARY,
 };
 use url::Url;
 
+use super::body::parse_content_range;
 use super::config::HttpConfig;
 use super::error_chain::error_chain_without_url;
 use super::hosts::{Connections, RefusedAddress, refused as host_refused};
@@ -98,7 +99,7 @@ impl Answer {
 
     /// Returns true if the body is the whole content.
     pub fn is_whole(&self) -> bool {
-        matches!(self.status, 200 | 203)
+        matches!(self.status, 200 | 201 | 203)
     }
 
     /// Returns the error that the status stands for.
@@ -111,6 +112,12 @@ impl Answer {
             }
         }
     }
+}
+
+/// Returns true if the header `Content-Range` says that a body of `size` bytes is the whole file.
+fn is_whole_range(text: &str, size: u64) -> bool {
+    parse_content_range(text)
+        .is_some_and(|(first, last, length)| first == 0 && length == size && last.checked_add(1) == Some(length))
 }
 
 impl Exchange<'_> {
@@ -236,12 +243,28 @@ impl Exchange<'_> {
         }
     }
 
-    /// Reads the body of a successful answer.
-    pub async fn read(&self, uri: &str, mut response: reqwest::Response) -> Result<Answer, IoError> {
+    /// Reads the body of a successful answer. A part that was not asked for counts as the whole content if it plainly is.
+    pub async fn read(&self, uri: &str, response: reqwest::Response) -> Result<Answer, IoError> {
+        let mut answer = self.read_any(uri, response).await?;
+        if answer.status == 206 && !self.headers.contains_key(RANGE) {
+            let range = answer.headers.get(CONTENT_RANGE).map(|value| String::from_utf8_lossy(value.as_bytes()));
+            let size = answer.body.len() as u64;
+            match range {
+                Some(range) if !is_whole_range(&range, size) => {
+                    let reason = format!("the server sent a part of the file that was not asked for ({range:.60})");
+                    return Err(IoError::invalid(uri, reason));
+                }
+                _ => answer.status = 200,
+            }
+        }
+        Ok(answer)
+    }
+
+    async fn read_any(&self, uri: &str, mut response: reqwest::Response) -> Result<Answer, IoError> {
         let (status, version) = (response.status().as_u16(), response.version());
         let headers = std::mem::take(response.headers_mut());
         let freshness = Freshness::of(&headers, SystemTime::now());
-        if !matches!(status, 200 | 203 | 206) {
+        if !matches!(status, 200 | 201 | 203 | 206) {
             self.drain(response).await;
             return Ok(Answer { status, headers, body: Vec::new(), freshness, redirected_to: None, origin: None });
         }

@@ -27,6 +27,7 @@ mod transport;
 
 pub(in crate::fetch) use blocking::{MAX_INLINE_BYTES, run_blocking};
 pub use body::HttpBody;
+pub(in crate::fetch) use body::parse_content_range;
 pub(in crate::fetch) use cache_access::{CachePolicy, HttpCache, copy_validators};
 pub use client::HttpClient;
 #[cfg(feature = "testing")]

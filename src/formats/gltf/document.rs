@@ -4,23 +4,26 @@ use std::borrow::Cow;
 
 use gltf::json;
 use gltf::json::validation::{Checked, Error, Validate as _};
-use serde_json::Value;
 
 use super::context::Context;
 use super::double_precision::{DoublePrecision, extensions_required};
 use super::extensions;
 use super::glb::Chunks;
-use super::{splats, version1};
+use super::repair::{ANIMATIONS, CAMERAS, repaired};
+use super::{node_tree, splats, version1};
 use crate::fetch::IoError;
 
-/// Parses a document; a glTF 1.0 is upgraded. Its references between objects are valid afterwards, so that the crate's
-/// accessors do not panic.
-pub(super) fn parse(context: &Context<'_>, chunks: &Chunks<'_>) -> Result<(gltf::Document, DoublePrecision), IoError> {
+/// A document whose references between objects are valid, so that the crate's accessors do not panic.
+pub(super) struct Parsed {
+    pub document: gltf::Document,
+    pub double: DoublePrecision,
+    /// The error of the first part with geometry that was left out.
+    pub left_out: Option<IoError>,
+}
+
+/// Parses a document; a glTF 1.0 is upgraded. Objects that are invalid are left out and noted.
+pub(super) fn parse(context: &Context<'_>, chunks: &Chunks<'_>) -> Result<Parsed, IoError> {
     let (uri, limits) = (context.uri, &context.options.limits);
-    let refused = |required: &[String]| {
-        let unknown = required.iter().find(|name| !extensions::may_be_required(name));
-        unknown.map(|name| IoError::unsupported(uri, format!("required glTF extension {name}")))
-    };
     limits.check_json(uri, &chunks.json)?;
     if matches!(chunks.json, Cow::Owned(_)) {
         context.notes.add("glTF: text that is not UTF-8, such as names");
@@ -35,34 +38,57 @@ pub(super) fn parse(context: &Context<'_>, chunks: &Chunks<'_>) -> Result<(gltf:
         json = upgraded.into();
         parsed = json::Root::from_slice(&json);
     }
-    if parsed.is_err()
-        && let Some(repaired) = repaired(&json, context)
-        && let Ok(root) = json::Root::from_slice(&repaired)
-    {
-        (parsed, json) = (Ok(root), repaired.into());
+    // An unsupported extension may replace required properties. It is the better error.
+    let required = match &parsed {
+        Ok(root) => root.extensions_required.clone(),
+        Err(_) => extensions_required(&json),
+    };
+    if let Some(name) = required.iter().find(|name| !extensions::may_be_required(name)) {
+        return Err(IoError::unsupported(uri, format!("required glTF extension {name}")));
     }
-    let mut root = parsed.map_err(|e| {
-        // An unsupported extension may replace required properties. It is the better error.
-        let required = extensions_required(&json);
-        refused(&required).unwrap_or_else(|| IoError::invalid(uri, format!("glTF JSON: {e}")))
-    })?;
-    if let Some(error) = refused(&root.extensions_required) {
-        return Err(error);
-    }
+    let bad_json = |e: serde_json::Error| IoError::invalid(uri, format!("glTF JSON: {e}"));
+    let ready = parsed.map_err(bad_json).and_then(|root| prepared(context, root));
+    let ((mut root, unused), left_out) = match ready {
+        Ok(ready) => (ready, None),
+        Err(error) => {
+            let Some(repaired) = repaired(&json, context) else { return Err(error) };
+            let root = json::Root::from_slice(&repaired.json).map_err(bad_json)?;
+            let (root, mut unused) = prepared(context, root)?;
+            unused.extend(repaired.unused);
+            json = repaired.json.into();
+            ((root, unused), repaired.left_out.map(|reason| context.bad(reason)))
+        }
+    };
     if let Some(copyright) = &root.asset.copyright {
         context.notes.add_credit(copyright);
     }
-    root.extensions_required.clear();
     for name in root.extensions_used.iter().filter(|name| !extensions::is_supported(name)) {
         context.notes.add(format!("glTF extension {name}"));
     }
-    // The crate panics or misbehaves unless the next two conditions hold.
-    let accessors = root.accessors.len();
-    for primitive in root.meshes.iter().flat_map(|m| &m.primitives) {
-        if let Some(index) = primitive.attributes.values().map(|a| a.value()).find(|index| *index >= accessors) {
-            return Err(context.bad(format_args!("accessor {index} of {accessors}")));
+    unused.into_iter().for_each(|kind| context.notes.add(kind));
+    let removed = node_tree::keep_one_parent(&mut root);
+    context.notes.add_count("glTF: node with several parents (drawn below one of them)", removed);
+    let double = DoublePrecision::read(&json, &root).map_err(bad_json)?;
+    Ok(Parsed { document: gltf::Document::from_json_without_validation(root), double, left_out })
+}
+
+/// Removes what the crate misreads and what a still scene does not draw, valid or not. Returns the kinds of the latter, or
+/// an error if a reference is invalid.
+fn prepared(context: &Context<'_>, mut root: json::Root) -> Result<(json::Root, Vec<&'static str>), IoError> {
+    let mut unused = Vec::new();
+    for (is_used, kind) in [
+        (!root.animations.is_empty(), ANIMATIONS),
+        (!root.cameras.is_empty(), CAMERAS),
+        (root.scenes.len() > 1, "glTF: scenes besides the default one"),
+    ] {
+        if is_used {
+            unused.push(kind);
         }
     }
+    root.animations.clear();
+    root.cameras.clear();
+    root.nodes.iter_mut().for_each(|node| node.camera = None);
+    root.extensions_required.clear();
     for image in &mut root.images {
         if image.buffer_view.is_some() {
             // The bytes say what they are.
@@ -72,16 +98,15 @@ pub(super) fn parse(context: &Context<'_>, chunks: &Chunks<'_>) -> Result<(gltf:
             image.uri.get_or_insert_with(|| "data:,".to_owned());
         }
     }
-    remove_unused(context, &mut root);
-    if root.scene.is_some_and(|scene| scene.value() >= root.scenes.len()) {
-        context.notes.add("glTF: default scene that does not exist");
-        root.scene = None;
-    }
-    // Attributes with unknown names are ignored, valid or not.
+    // The crate panics or misbehaves unless these indices are valid.
+    let accessors = root.accessors.len();
     for primitive in root.meshes.iter_mut().flat_map(|m| m.primitives.iter_mut()) {
+        if let Some(index) = primitive.attributes.values().map(|a| a.value()).find(|index| *index >= accessors) {
+            return Err(context.bad(format_args!("accessor {index} of {accessors}")));
+        }
+        // Attributes with unknown names are ignored, valid or not.
         primitive.attributes.retain(|semantic, _| matches!(semantic, Checked::Valid(_)));
     }
-    let double = DoublePrecision::read(&json, &root).map_err(|e| IoError::invalid(uri, format!("glTF JSON: {e}")))?;
     let mut errors = Vec::new();
     root.validate(&root, json::Path::new, &mut |path, error| {
         let path = path();
@@ -89,60 +114,10 @@ pub(super) fn parse(context: &Context<'_>, chunks: &Chunks<'_>) -> Result<(gltf:
             errors.push((path, error));
         }
     });
-    if !errors.is_empty() {
-        return Err(context.bad(gltf::Error::Validation(errors)));
+    match errors.is_empty() {
+        true => Ok((root, unused)),
+        false => Err(context.bad(gltf::Error::Validation(errors))),
     }
-    Ok((gltf::Document::from_json_without_validation(root), double))
-}
-
-/// The kinds of what a still scene does not draw.
-const ANIMATIONS: &str = "glTF: animations (drawn at rest)";
-const CAMERAS: &str = "glTF: cameras";
-
-/// Returns JSON that the crate can read, from JSON of which it refuses valid or harmless parts: members that are `null` are
-/// removed, integers may be written as floats, a scene may lack nodes, and animations, which may target other things than
-/// nodes (KHR_animation_pointer), and cameras are left out. Returns `None` if the text is not JSON.
-fn repaired(json: &[u8], context: &Context<'_>) -> Option<Vec<u8>> {
-    /// Floats below this are exact as integers.
-    const MAX_EXACT: f64 = 9_007_199_254_740_992.0;
-    fn repair(value: &mut Value) {
-        match value {
-            Value::Object(members) => {
-                members.retain(|_, member| !member.is_null());
-                members.values_mut().for_each(repair);
-            }
-            // NaN becomes null in JavaScript, and null counts as 0 there.
-            Value::Array(numbers) if numbers.iter().any(Value::is_number) => {
-                numbers.iter_mut().filter(|number| number.is_null()).for_each(|number| *number = 0.into());
-                numbers.iter_mut().for_each(repair);
-            }
-            Value::Array(elements) => elements.iter_mut().for_each(repair),
-            Value::Number(number) if number.is_f64() => {
-                let whole = number.as_f64().filter(|float| float.fract() == 0.0 && float.abs() < MAX_EXACT);
-                if let Some(whole) = whole {
-                    *number = (whole as i64).into();
-                }
-            }
-            _ => {}
-        }
-    }
-    let mut root: Value = serde_json::from_slice(json).ok()?;
-    repair(&mut root);
-    let members = root.as_object_mut()?;
-    for (name, kind) in [("animations", ANIMATIONS), ("cameras", CAMERAS)] {
-        if members.remove(name).is_some_and(|list| list.as_array().is_none_or(|list| !list.is_empty())) {
-            context.notes.add(kind);
-        }
-    }
-    let nodes = root.get_mut("nodes").and_then(Value::as_array_mut);
-    for node in nodes.into_iter().flatten().filter_map(Value::as_object_mut) {
-        node.remove("camera");
-    }
-    let scenes = root.get_mut("scenes").and_then(Value::as_array_mut);
-    for scene in scenes.into_iter().flatten().filter_map(Value::as_object_mut) {
-        scene.entry("nodes").or_insert_with(|| Value::Array(Vec::new()));
-    }
-    serde_json::to_vec(&root).ok()
 }
 
 /// Returns true for violations that do not matter to this reader. Old exporters omit bounds; compressed accessors have no
@@ -155,20 +130,4 @@ fn is_harmless(path: &str, error: Error) -> bool {
         Error::Invalid => is_bound || path.ends_with(".byteStride"),
         _ => false,
     }
-}
-
-/// Removes and notes the parts of a document that a still scene does not draw, valid or not.
-fn remove_unused(context: &Context<'_>, root: &mut json::Root) {
-    for (is_used, kind) in [
-        (!root.animations.is_empty(), ANIMATIONS),
-        (!root.cameras.is_empty(), CAMERAS),
-        (root.scenes.len() > 1, "glTF: scenes besides the default one"),
-    ] {
-        if is_used {
-            context.notes.add(kind);
-        }
-    }
-    root.animations.clear();
-    root.cameras.clear();
-    root.nodes.iter_mut().for_each(|node| node.camera = None);
 }

@@ -20,6 +20,7 @@ mod mesh;
 mod node_tree;
 mod occluder;
 mod reader;
+mod repair;
 mod splats;
 mod version1;
 

@@ -6,7 +6,7 @@ use glam::{DAffine3, DVec3};
 
 use super::accessors::Buffers;
 use super::context::Context;
-use super::document;
+use super::document::{self, Parsed};
 use super::double_precision::DoublePrecision;
 use super::external;
 use super::features::FeatureTables;
@@ -71,7 +71,7 @@ pub(in crate::formats) fn read(source: GltfSource<'_>, options: &ReadOptions, no
     let GltfSource { uri, base, rtc_center, companions, batch_table, .. } = source;
     let files = ExternalFiles::new(base, &options.root, &options.limits, companions);
     let context = Context::new(uri, options, notes, files);
-    let (document, double) = document::parse(&context, &chunks)?;
+    let Parsed { document, double, left_out } = document::parse(&context, &chunks)?;
     let buffers = Buffers::read(&context, &document, chunks.binary)?;
     let tables = FeatureTables::new(&context, &document, &buffers, batch_table)?;
     let mut reader = Reader {
@@ -86,6 +86,9 @@ pub(in crate::formats) fn read(source: GltfSource<'_>, options: &ReadOptions, no
         skinned: Vec::new(),
         lights: Lights::new(&context, &document),
     };
+    if let Some(error) = left_out {
+        reader.meshes.refuse(error);
+    }
     let scene = document.default_scene().or_else(|| document.scenes().next());
     let mut children = Vec::new();
     match scene {
@@ -136,7 +139,9 @@ impl Reader<'_> {
             return Err(self.context.bad("node tree too deep"));
         }
         if self.is_visited.get_mut(node.index()).is_none_or(|is_visited| std::mem::replace(is_visited, true)) {
-            return Err(self.context.bad(format_args!("node {} has two parents", node.index())));
+            // A circle of nodes.
+            self.context.notes.add("glTF: node that is its own ancestor");
+            return Ok(Node::group(Vec::new()));
         }
         let visibility = node.extension_value("KHR_node_visibility");
         if visibility.and_then(|of| of.get("visible")?.as_bool()) == Some(false) {
@@ -173,7 +178,14 @@ impl Reader<'_> {
 
     /// Adds a mesh to the children of its node: once, or at each of its instances.
     fn mesh(&mut self, node: &gltf::Node<'_>, mesh: &gltf::Mesh<'_>, children: &mut Vec<Node>) -> Result<(), IoError> {
-        let instances = Instances::new(self.context, self.document, self.buffers, self.tables, node)?;
+        let instances = match Instances::new(self.context, self.document, self.buffers, self.tables, node) {
+            Err(error @ IoError::Invalid { .. }) => {
+                self.context.notes.add("glTF: instances that are not drawn because they are invalid");
+                self.meshes.refuse(error);
+                return Ok(());
+            }
+            instances => instances?,
+        };
         let drawables = self.meshes.drawables(mesh, node.weights(), None)?;
         let Some(instances) = instances else {
             children.extend(drawables.into_nodes());
@@ -200,7 +212,14 @@ impl Reader<'_> {
     ) -> Result<(), IoError> {
         let (document, double) = (self.document, self.double);
         let tree = self.tree.get_or_insert_with(|| NodeTree::new(document, double));
-        let pose = SkinPose::new(skin, self.buffers, self.context, |joint| tree.root_from_node(joint))?;
+        let pose = match SkinPose::new(skin, self.buffers, self.context, |joint| tree.root_from_node(joint)) {
+            Err(error @ IoError::Invalid { .. }) => {
+                self.context.notes.add("glTF: mesh that is not drawn because its skin is invalid");
+                self.meshes.refuse(error);
+                return Ok(());
+            }
+            pose => pose?,
+        };
         let drawables = self.meshes.drawables(mesh, node.weights(), Some(&pose))?;
         self.skinned.push(Node::transform(DAffine3::from_translation(pose.origin), drawables.into_nodes()));
         Ok(())

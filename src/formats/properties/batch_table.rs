@@ -43,7 +43,12 @@ pub(in crate::formats) fn batch_table(
     let mut columns: Vec<Column> = Vec::new();
     for (name, property) in properties {
         match property {
-            Value::Array(values) => columns.push((name.into(), Box::new(JsonColumn(values)))),
+            Value::Array(values) => {
+                if values.len() < rows {
+                    note("batch table: a property with fewer values than features");
+                }
+                columns.push((name.into(), Box::new(JsonColumn(values))));
+            }
             Value::Object(_) if name == "extensions" || name == "HIERARCHY" => {
                 note("batch table: hierarchy or extensions")
             }
@@ -98,6 +103,10 @@ mod tests {
         let table = batch_table(json, &binary, 2, &Limits::default(), &|_| notes.set(notes.get() + 1)).unwrap();
         let row: Vec<String> = table.row(1).into_iter().map(|(name, value)| format!("{name} {value}")).collect();
         assert_eq!((row.join("; ").as_str(), notes.get()), ("height 2.5; level -2; name b; size [3, 4]", 1));
+        // The list is shorter than the table: the values that it lacks are absent.
+        let short = br#"{"name":["a"]}"#;
+        let table = batch_table(short, &[], 2, &Limits::default(), &|_| notes.set(notes.get() + 1)).unwrap();
+        assert_eq!((&table.row(1)[0].1, notes.get()), (&PropertyValue::Null, 2));
         assert!(batch_table(b"   \0", &[], 0, &Limits::default(), &|_| {}).is_none());
         assert!(batch_table(b"{", &[], 0, &Limits::default(), &|_| notes.set(9)).is_none() && notes.get() == 9);
     }

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use serde::Deserialize;
-use serde::de::DeserializeOwned;
+use serde::de::{DeserializeOwned, Error as _};
 use serde_json::{Map, Value, json};
 
 /// The offset of a column or of a global value in the binary part.
@@ -66,22 +66,22 @@ impl Global<[u8; 4]> {
 /// Returns the bytes that store a number in a column.
 type Store = fn(f64) -> Number;
 
-/// The columns of all feature tables, and how a number of each is stored.
-const COLUMNS: [(&str, Store); 14] = [
-    ("BATCH_ID", u32_number),
-    ("NORMAL", f32_number),
-    ("NORMAL_OCT16P", u8_number),
-    ("NORMAL_RIGHT", f32_number),
-    ("NORMAL_RIGHT_OCT32P", u16_number),
-    ("NORMAL_UP", f32_number),
-    ("NORMAL_UP_OCT32P", u16_number),
-    ("POSITION", f32_number),
-    ("POSITION_QUANTIZED", u16_number),
-    ("RGB", u8_number),
-    ("RGB565", u16_number),
-    ("RGBA", u8_number),
-    ("SCALE", f32_number),
-    ("SCALE_NON_UNIFORM", f32_number),
+/// The columns of all feature tables: how many numbers a row has, and how each is stored.
+const COLUMNS: [(&str, usize, Store); 14] = [
+    ("BATCH_ID", 1, u32_number),
+    ("NORMAL", 3, f32_number),
+    ("NORMAL_OCT16P", 2, u8_number),
+    ("NORMAL_RIGHT", 3, f32_number),
+    ("NORMAL_RIGHT_OCT32P", 2, u16_number),
+    ("NORMAL_UP", 3, f32_number),
+    ("NORMAL_UP_OCT32P", 2, u16_number),
+    ("POSITION", 3, f32_number),
+    ("POSITION_QUANTIZED", 3, u16_number),
+    ("RGB", 3, u8_number),
+    ("RGB565", 1, u16_number),
+    ("RGBA", 4, u8_number),
+    ("SCALE", 1, f32_number),
+    ("SCALE_NON_UNIFORM", 3, f32_number),
 ];
 
 /// The bytes of a number, and how many of them count.
@@ -104,35 +104,63 @@ fn u8_number(x: f64) -> Number {
 }
 
 /// Parses the JSON part of a table with columns. Columns may be lists of numbers in the JSON: they are appended to the binary
-/// part. Some writers pad the JSON with zeros instead of spaces.
+/// part. A column that is shorter than the table is an error, since it would read into the next one. Some writers pad the
+/// JSON with zeros instead of spaces.
 pub(in crate::formats) fn parse_columns<'a, T: DeserializeOwned>(
     json: &[u8],
     binary: &'a [u8],
 ) -> Result<(T, Cow<'a, [u8]>), serde_json::Error> {
     parse(json).map(|table| (table, Cow::Borrowed(binary))).or_else(|error| {
         let mut members: Map<String, Value> = parse(json)?;
-        let mut binary = binary.to_vec();
-        let mut has_lists = false;
-        for (name, bytes_of) in COLUMNS {
-            let Some(Value::Array(numbers)) = members.get(name) else { continue };
-            binary.resize(binary.len().next_multiple_of(4), 0);
-            let offset = binary.len();
-            for number in numbers.iter().map(|number| number.as_f64().unwrap_or(f64::NAN)) {
-                let (bytes, size) = bytes_of(number);
-                binary.extend_from_slice(&bytes[..size]);
-            }
-            let column = match name {
-                "BATCH_ID" => json!({ "byteOffset": offset, "componentType": "UNSIGNED_INT" }),
-                _ => json!({ "byteOffset": offset }),
-            };
-            members.insert(name.to_owned(), column);
-            has_lists = true;
-        }
-        if !has_lists {
+        if !COLUMNS.iter().any(|(name, ..)| members.get(*name).is_some_and(Value::is_array)) {
             return Err(error);
         }
-        Ok((T::deserialize(Value::Object(members))?, Cow::Owned(binary)))
+        let rows = rows_of(&members, binary);
+        let mut all = binary.to_vec();
+        for (name, components, bytes_of) in COLUMNS {
+            let short = |got: usize, unit: &str| {
+                serde_json::Error::custom(format_args!("{name} has {got} {unit}, too few for {rows} rows"))
+            };
+            match members.get(name) {
+                Some(Value::Array(numbers)) => {
+                    if numbers.len() / components < rows {
+                        return Err(short(numbers.len(), "numbers"));
+                    }
+                    all.resize(all.len().next_multiple_of(4), 0);
+                    let offset = all.len();
+                    for number in numbers.iter().map(|number| number.as_f64().unwrap_or(f64::NAN)) {
+                        let (bytes, size) = bytes_of(number);
+                        all.extend_from_slice(&bytes[..size]);
+                    }
+                    let column = match name {
+                        "BATCH_ID" => json!({ "byteOffset": offset, "componentType": "UNSIGNED_INT" }),
+                        _ => json!({ "byteOffset": offset }),
+                    };
+                    members.insert(name.to_owned(), column);
+                }
+                Some(Value::Object(column)) => {
+                    let size = match column.get("componentType").and_then(Value::as_str) {
+                        Some("UNSIGNED_BYTE") => 1,
+                        None | Some("UNSIGNED_SHORT") if name == "BATCH_ID" => 2,
+                        _ => bytes_of(0.0).1,
+                    };
+                    let offset = column.get("byteOffset").and_then(Value::as_u64).unwrap_or(0);
+                    let own = binary.len().saturating_sub(usize::try_from(offset).unwrap_or(usize::MAX));
+                    if own / size / components < rows {
+                        return Err(short(own, "bytes"));
+                    }
+                }
+                _ => {}
+            }
+        }
+        Ok((T::deserialize(Value::Object(members))?, Cow::Owned(all)))
     })
+}
+
+/// Returns the number of rows that a table declares; 0 if it declares none, which its reader refuses.
+fn rows_of(members: &Map<String, Value>, binary: &[u8]) -> usize {
+    let length = ["POINTS_LENGTH", "INSTANCES_LENGTH"].iter().find_map(|name| members.get(*name));
+    length.and_then(|length| Global::<usize>::deserialize(length).ok()?.count(binary)).unwrap_or(0)
 }
 
 /// Parses the JSON part. Some writers pad it with zeros instead of spaces.

@@ -29,6 +29,7 @@ const KNOWN_EXTENSIONS: &[&str] = &[
 
 #[derive(Deserialize)]
 pub(crate) struct TilesetJson {
+    #[serde(default, deserialize_with = "object")]
     pub asset: AssetJson,
     /// The error where nothing of the set is drawn.
     #[serde(rename = "geometricError")]
@@ -126,7 +127,7 @@ struct MetadataExtension {
     groups: Option<Value>,
 }
 
-#[derive(Deserialize)]
+#[derive(Default, Deserialize)]
 pub(crate) struct AssetJson {
     #[serde(default)]
     version: Text,
@@ -144,6 +145,11 @@ impl AssetJson {
     /// Returns the version; empty if there is none.
     pub fn version(&self) -> &str {
         self.version.0.as_deref().unwrap_or_default()
+    }
+
+    /// Returns true for a version that the specification has.
+    pub fn is_known(&self) -> bool {
+        matches!(self.version(), "0.0" | "1.0" | "1.1")
     }
 }
 
@@ -343,7 +349,9 @@ pub(crate) fn parse(uri: &str, bytes: &[u8], limits: &Limits) -> Result<TilesetJ
     limits.check_json(uri, bytes)?;
     let tileset: TilesetJson = from_json(bytes).map_err(|error| invalid_json(uri, bytes, &error))?;
     let version = tileset.asset.version();
-    if !matches!(version, "0.0" | "1.0" | "1.1") {
+    // Other versions below 2 differ in what they add.
+    let may_be_read = version.is_empty() || version == "1" || version.starts_with("0.") || version.starts_with("1.");
+    if !may_be_read {
         return Err(IoError::unsupported(uri, format!("3D Tiles version {version:?}")));
     }
     for name in &tileset.extensions_required {
@@ -387,5 +395,17 @@ mod tests {
         let page = error("<html><body>Index of /set</body></html>");
         assert!(page.contains("a web page instead of content"), "{page}");
         assert!(error("[").contains("tileset JSON: "));
+        let version = error(r#"{"asset":{"version":"2.0"},"geometricError":1,"root":{}}"#);
+        assert!(version.contains("3D Tiles version \"2.0\" is not supported"), "{version}");
+    }
+
+    /// Regression: these refused the set.
+    #[test]
+    fn missing_and_unknown_versions_are_read() {
+        for asset in ["", r#""asset":{},"#, r#""asset":null,"#, r#""asset":7,"#, r#""asset":{"version":"1.2"},"#] {
+            let text = format!(r#"{{{asset}"geometricError":1,"root":{{}}}}"#);
+            let tileset = parse("set/tileset.json", text.as_bytes(), &Limits::default()).unwrap();
+            assert!(!tileset.asset.is_known(), "{asset}");
+        }
     }
 }

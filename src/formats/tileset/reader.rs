@@ -111,6 +111,9 @@ pub(super) fn read_noting(
 
 /// Lists what the tileset asks for and this reader leaves out.
 fn note_ignored(tileset: &TilesetJson, notes: &Notes) {
+    if !tileset.asset.is_known() {
+        notes.add("tileset: asset.version that is missing or unknown (read as 1.1)");
+    }
     // Extensions of glTF are listed by its reader.
     let of_gltf = |name: &str| ["KHR_", "EXT_", "CESIUM_"].iter().any(|prefix| name.starts_with(prefix));
     for name in tileset.extensions_used.iter().filter(|name| !of_gltf(name)) {

@@ -19,5 +19,3 @@ mod zip;
 
 pub(crate) use archives::{MemberUri, RemoteArchives};
 pub use file::{RemoteFile, RemoteFiles};
-#[cfg(feature = "testing")]
-pub(crate) use part::parse_content_range;

@@ -7,7 +7,7 @@ use reqwest::header::{ACCEPT_ENCODING, CONTENT_RANGE, ETAG, HeaderMap, HeaderVal
 
 use crate::fetch::archive::span::Span;
 use crate::fetch::cache::Freshness;
-use crate::fetch::http::{Answer, Transport};
+use crate::fetch::http::{Answer, Transport, parse_content_range};
 use crate::fetch::markup::refuse_markup;
 use crate::fetch::{Claim, IoError, Limits};
 
@@ -98,13 +98,6 @@ impl<'a> PartReader<'a> {
 /// Formats a span as the value of the header `Range`.
 pub(super) fn range_of(Span { offset, size }: Span) -> String {
     format!("bytes={offset}-{}", offset.saturating_add(size).saturating_sub(1))
-}
-
-/// Parses the header `Content-Range` into the first and the last offset and the size of the whole.
-pub(crate) fn parse_content_range(text: &str) -> Option<(u64, u64, u64)> {
-    let (span, length) = text.trim().strip_prefix("bytes ")?.split_once('/')?;
-    let (first, last) = span.split_once('-')?;
-    Some((first.trim().parse().ok()?, last.trim().parse().ok()?, length.trim().parse().ok()?))
 }
 
 #[cfg(test)]

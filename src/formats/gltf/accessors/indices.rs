@@ -125,10 +125,14 @@ impl<'a> IndexLists<'a> {
                     return Err(self.context.bad("accessor of the wrong type"));
                 }
                 let Some(elements) = elements()? else { return Ok(None) };
-                let layout = [elements.stride, elements.count, elements.data_type.size()].map(|n| n as u64);
+                let kind = elements.data_type.as_gl_enum() as usize;
+                let layout = [elements.stride, elements.count, kind].map(|n| n as u64);
                 let key = ContentKey::of(&[&elements.bytes, bytemuck::cast_slice(&layout)]);
                 let list = read_shared(key, || unsigned(&elements));
-                let list = list.ok_or_else(|| self.context.bad("indices of a signed or float type"))?;
+                let list = list.ok_or_else(|| self.context.bad("indices of a float type"))?;
+                if matches!(elements.data_type, DataType::I8 | DataType::I16) {
+                    self.context.notes.add("glTF: indices of a signed type");
+                }
                 self.read.insert(accessor.index(), (list.clone(), key));
                 (list, key)
             }
@@ -137,13 +141,16 @@ impl<'a> IndexLists<'a> {
     }
 }
 
-/// Reads elements as unsigned integers. Returns `None` for other component types.
+/// Reads elements as unsigned integers. Negative numbers of signed types, which some writers use, are out of range. Returns
+/// `None` for floats.
 fn unsigned(e: &Elements<'_>) -> Option<Arc<[u32]>> {
     let at = |i: usize, n: usize| e.bytes.get(i * e.stride + n).copied().unwrap_or(0);
     Some(match e.data_type {
         DataType::U8 => (0..e.count).map(|i| u32::from(at(i, 0))).collect(),
         DataType::U16 => (0..e.count).map(|i| u32::from(u16::from_le_bytes([at(i, 0), at(i, 1)]))).collect(),
         DataType::U32 => (0..e.count).map(|i| u32::from_le_bytes([at(i, 0), at(i, 1), at(i, 2), at(i, 3)])).collect(),
-        _ => return None,
+        DataType::I8 => (0..e.count).map(|i| i32::from(at(i, 0) as i8) as u32).collect(),
+        DataType::I16 => (0..e.count).map(|i| i32::from(i16::from_le_bytes([at(i, 0), at(i, 1)])) as u32).collect(),
+        DataType::F32 => return None,
     })
 }

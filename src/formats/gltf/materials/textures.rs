@@ -57,7 +57,7 @@ impl<'a> Textures<'a> {
         reader: TexelReader,
         buffers: &Buffers<'_>,
     ) -> Result<Option<SharedTexture>, IoError> {
-        let (sources, mut sampling) = self.sources(texture)?;
+        let (sources, mut sampling) = self.sources(texture);
         if reader == TexelReader::Data {
             // No filter may change a texel.
             sampling = Sampling { wrap: sampling.wrap, mag: FilterMode::Nearest, min: FilterMode::Nearest, mip: None };
@@ -91,19 +91,24 @@ impl<'a> Textures<'a> {
         }
     }
 
-    /// Returns the images of a texture, the best first, and its sampling.
-    fn sources(&self, texture: usize) -> Result<(Vec<usize>, Sampling), IoError> {
+    /// Returns the images of a texture, the best first, and its sampling. Notes a texture or an image that does not exist.
+    fn sources(&self, texture: usize) -> (Vec<usize>, Sampling) {
         let Some(texture) = self.document.textures().nth(texture) else {
-            return Err(self.context.bad(format_args!("texture {texture} of {}", self.document.textures().len())));
+            self.context.notes.add("glTF material: texture that does not exist");
+            return (Vec::new(), Sampling::default());
         };
         let images = self.document.as_json().images.len();
         let named = SOURCE_EXTENSIONS.iter().filter_map(|name| texture.extension_value(name)?.get("source")?.as_u64());
-        let named = named.filter_map(|source| usize::try_from(source).ok());
-        let sources: Vec<usize> = named.chain(texture.source().map(|image| image.index())).collect();
-        match sources.iter().find(|source| **source >= images) {
-            Some(source) => Err(self.context.bad(format_args!("image {source} of {images}"))),
-            None => Ok((sources, sampling(&texture.sampler()))),
-        }
+        let named = named.map(|source| usize::try_from(source).unwrap_or(usize::MAX));
+        let mut sources: Vec<usize> = named.chain(texture.source().map(|image| image.index())).collect();
+        sources.retain(|source| {
+            let is_valid = *source < images;
+            if !is_valid {
+                self.context.notes.add("glTF: image that does not exist or is invalid");
+            }
+            is_valid
+        });
+        (sources, sampling(&texture.sampler()))
     }
 
     /// Decodes an image. Returns `None` if its file is missing or has a format that is not read.

@@ -46,7 +46,7 @@ pub(super) fn add_second_uv(
     attributes: &mut VertexAttributes,
 ) -> Result<(), IoError> {
     context.budget.add_vertices(data.count.saturating_mul(size_of::<[f32; 2]>()).div_ceil(size_of::<MeshVertex>()))?;
-    let Some(elements) = data.attribute(&Semantic::TexCoords(set), &[Dimensions::Vec2])? else {
+    let Some(elements) = data.optional(&Semantic::TexCoords(set), &[Dimensions::Vec2])? else {
         context.notes.add("glTF: texture without its coordinates");
         return Ok(());
     };

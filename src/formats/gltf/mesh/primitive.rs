@@ -66,6 +66,18 @@ impl<'a> PrimitiveData<'a> {
         }
     }
 
+    /// Returns the elements of an attribute without which the primitive is drawn; `None`, and a note, if it is invalid.
+    pub fn optional(&self, semantic: &Semantic, dimensions: &[Dimensions]) -> Result<Option<Elements<'_>>, IoError> {
+        match self.attribute(semantic, dimensions) {
+            Err(IoError::Invalid { .. }) => {
+                let name = semantic.to_string();
+                self.context.notes.add(format!("glTF: {name} of the wrong type or length (drawn without it)"));
+                Ok(None)
+            }
+            elements => elements,
+        }
+    }
+
     /// Returns true if the primitive has normals that are no vectors of three components.
     pub fn has_odd_normals(&self) -> bool {
         self.primitive.get(&Semantic::Normals).is_some_and(|accessor| accessor.dimensions() != Dimensions::Vec3)

@@ -41,11 +41,11 @@ impl Vertices {
                 context.notes.add("glTF: normals that have not three components");
                 None
             }
-            false => data.attribute(&Semantic::Normals, &[Dimensions::Vec3])?,
+            false => data.optional(&Semantic::Normals, &[Dimensions::Vec3])?,
         };
         let uv_set = texture.map_or(0, |texture| texture.uv_set);
-        let uvs = data.attribute(&Semantic::TexCoords(uv_set), &[Dimensions::Vec2])?;
-        let mut colors = data.attribute(&Semantic::Colors(0), &[Dimensions::Vec3, Dimensions::Vec4])?;
+        let uvs = data.optional(&Semantic::TexCoords(uv_set), &[Dimensions::Vec2])?;
+        let mut colors = data.optional(&Semantic::Colors(0), &[Dimensions::Vec3, Dimensions::Vec4])?;
         let (mut min, mut max, mut is_finite) = (Vec3::INFINITY, Vec3::NEG_INFINITY, true);
         let mut list = vec![MeshVertex { color: [255; 4], ..MeshVertex::default() }; data.count];
         let mut set_position = |vertex: &mut MeshVertex, position: [f32; 3]| {
