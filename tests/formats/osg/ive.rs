@@ -411,7 +411,7 @@ fn attributes_that_are_not_drawn_are_read_over_and_counted() {
         (0x1133, floats(9), ""),
         (0x1134, vec![0; 6], "class osg::LineStipple"),
         (0x1135, [&[3, 0, 0, 0][..], &[7; 3]].concat(), "class osg::PolygonStipple"),
-        (0x1122, vec![0; 36], ""),
+        (0x1122, vec![0; 36], "clip plane of a state set (not used)"),
         (0x12e, floats(2), "class osg::FragmentProgram"),
         (0x12f, floats(1), "class osg::VertexProgram"),
         (0x12a, floats(1), "attribute ShadeModel"),

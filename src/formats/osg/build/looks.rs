@@ -115,16 +115,13 @@ impl Look {
     }
 }
 
-/// Returns true if a state set switches lights, clip planes or fog on, or has attributes of light.
+/// Returns true if a state set switches lights, clip planes or fog on, or has a light model.
 fn has_fixed_function_state(state: &StateObject) -> bool {
     let is_fixed = |mode: u32| {
         mode == GL_FOG || (GL_LIGHT0 + 1..GL_LIGHT0 + 8).contains(&mode) || mode >> 3 == GL_CLIP_PLANE0 >> 3
     };
     state.modes.iter().any(|(mode, flags)| flags & ON != 0 && is_fixed(*mode))
-        || state
-            .attributes
-            .iter()
-            .any(|(attribute, _)| matches!(**attribute, AttributeObject::Light(_) | AttributeObject::LightModel(_)))
+        || state.attributes.iter().any(|(attribute, _)| matches!(**attribute, AttributeObject::LightModel(_)))
 }
 
 /// Returns true if a material has highlights or glows, which only OpenGL's fixed function draws.

@@ -28,7 +28,7 @@ impl Builder<'_> {
 
     /// Returns a light; `None`, noted, if it is not drawn. Light 0 is that of OSG's viewer unless a file replaces it. Here sun
     /// and sky are light 0, so that one file does not change the light of a whole scene.
-    pub(super) fn light(&self, light: &LightObject) -> Option<Light> {
+    fn light(&self, light: &LightObject) -> Option<Light> {
         let made = light_of(light);
         match made {
             Some(Light { number: 0, .. }) => {
@@ -96,7 +96,7 @@ fn light_of(light: &LightObject) -> Option<Light> {
 }
 
 /// Returns a clip plane with its number; `None` if it cannot be one.
-pub(super) fn plane_of(plane: &ClipPlaneObject) -> Option<(u8, DVec4)> {
+fn plane_of(plane: &ClipPlaneObject) -> Option<(u8, DVec4)> {
     let number = u8::try_from(plane.number).ok().filter(|number| usize::from(*number) < CLIP_PLANES)?;
     let equation = DVec4::from_array(plane.plane);
     equation.is_finite().then_some((number, equation))

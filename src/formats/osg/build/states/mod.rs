@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use self::lighting::{blend_equation_of, fog_of, light_model_of, plane_of, polygon_mode_of};
+use self::lighting::{blend_equation_of, fog_of, light_model_of, polygon_mode_of};
 use super::Builder;
 use super::looks::{
     GL_ALPHA_TEST, GL_BLEND, GL_CLIP_PLANE0, GL_CULL_FACE, GL_DEPTH_TEST, GL_FOG, GL_LIGHT0, GL_LIGHTING,
@@ -146,12 +146,16 @@ impl Builder<'_> {
                 Attribute::PolygonOffset(PolygonOffset { factor: *factor, units: *units })
             }
             AttributeObject::ColorMask(mask) => Attribute::ColorMask(ColorMask(*mask)),
-            AttributeObject::Light(light) => Attribute::Light(self.light(light)?),
             AttributeObject::LightModel(model) => Attribute::LightModel(light_model_of(model)),
             AttributeObject::Fog(fog) => Attribute::Fog(self.valid(fog_of(fog))?),
-            AttributeObject::ClipPlane(plane) => {
-                let (number, plane) = self.valid(plane_of(plane))?;
-                Attribute::ClipPlane(number, plane.to_array())
+            // OSG has them in the frame of each drawable below; those of the engine move with the eye.
+            AttributeObject::Light(_) => {
+                self.note("OpenSceneGraph: light of a state set (not used)");
+                return None;
+            }
+            AttributeObject::ClipPlane(_) => {
+                self.note("OpenSceneGraph: clip plane of a state set (not used)");
+                return None;
             }
             AttributeObject::PolygonMode(mode) => Attribute::PolygonMode(polygon_mode_of(*mode)),
             AttributeObject::BlendColor(color) => Attribute::BlendColor(linear_rgba(*color)),
