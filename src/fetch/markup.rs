@@ -98,11 +98,12 @@ mod tests {
         assert_eq!(plain_text(&"ä".repeat(9_000)).chars().count(), 500);
         assert_eq!(plain_text("a\x1b]0;t\x07 <b>b</b>\u{9b}"), "a]0;t b");
     }
+
     #[test]
     fn models_in_xml_are_named() {
         let reason = |uri: &str, text: &str| refuse_markup(uri, text.as_bytes()).unwrap_err().to_string();
         let xml = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<Scene>";
-        assert!(reason("a/b.OSGX?x=1", xml).contains("OpenSceneGraph's XML (.osgx"));
+        assert!(reason("https://h/b.OSGX?x=1", xml).contains("OpenSceneGraph's XML (.osgx"));
         assert!(reason("b.dae", xml).contains("COLLADA"));
         assert!(reason("b.osgx", "<!DOCTYPE html><html>").contains("a web page"));
         assert!(reason("b.glb", xml).contains("a web page"));
