@@ -101,6 +101,14 @@ fn erdas() -> Parser {
     raster("erdas", "a.img", false, &[rasters::erdas::usual_file()])
 }
 
+fn jpeg2000() -> Parser {
+    raster("jpeg-2000", "a.jp2", true, &rasters::gdal::JPEG_2000.map(<[u8]>::to_vec))
+}
+
+fn usgs_dem() -> Parser {
+    raster("usgs-dem", "a.dem", false, &[rasters::gdal::USGS_DEM.to_vec()])
+}
+
 fn surfer() -> Parser {
     raster("surfer", "a.grd", false, &rasters::grids::surfer())
 }
@@ -317,6 +325,8 @@ kit::parsers! {
     ascii_grid,
     netcdf,
     erdas,
+    jpeg2000,
+    usgs_dem,
     surfer,
     points,
     dted,
