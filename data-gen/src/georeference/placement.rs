@@ -78,6 +78,11 @@ impl Placement {
         Self { transform, ..self.clone() }
     }
 
+    /// Returns the placement of an image with another transform in the same reference system.
+    pub fn with_transform(&self, transform: GeoTransform) -> Self {
+        Self { transform, ..self.clone() }
+    }
+
     /// Returns the longitude and latitude in radians of a column and row. Whole numbers are pixel corners.
     pub fn longitude_latitude(&self, column: f64, row: f64) -> [f64; 2] {
         let [x, y] = self.transform.at(column, row);

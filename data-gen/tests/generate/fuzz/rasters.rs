@@ -109,6 +109,23 @@ fn usgs_dem() -> Parser {
     raster("usgs-dem", "a.dem", false, &[rasters::gdal::USGS_DEM.to_vec()])
 }
 
+/// Fuzzes the document; the file that it resamples is small.
+fn warped_raster() -> Parser {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("a.tif"), rasters::gdal::source()).unwrap();
+    let path = folder.path().join("a.vrt");
+    let seeds = ["Cubic", "Bilinear"].map(|resampling| rasters::gdal::warped(resampling).into_bytes());
+    Parser::new("warped-raster", seeds, move |bytes| {
+        std::fs::write(&path, bytes).unwrap();
+        // Errors may be those of the source.
+        if let Ok(raster) = Raster::read(&path)
+            && raster.size().iter().product::<usize>() <= MAX_SAMPLES
+        {
+            let _ = (raster.range_m(), &folder);
+        }
+    })
+}
+
 fn surfer() -> Parser {
     raster("surfer", "a.grd", false, &rasters::grids::surfer())
 }
@@ -327,6 +344,7 @@ kit::parsers! {
     erdas,
     jpeg2000,
     usgs_dem,
+    warped_raster,
     surfer,
     points,
     dted,

@@ -1,8 +1,9 @@
-//! Files that GDAL 3.6 wrote: JPEG 2000 and USGS DEM.
+//! Files that GDAL 3.6 wrote: JPEG 2000 and USGS DEM; and warped virtual rasters, with the values that GDAL reads from them.
 
 use std::fs;
 
 use super::{at, check_bounds, error, usual};
+use crate::tiffs::{Image, tiff};
 use terrane_data_gen::{Raster, RasterOptions};
 
 /// 12 x 10 signed samples of `-300 + 37 x - 11 y²`: placed by GeoJP2 in UTM, by GMLJP2 in degrees, and without boxes.
@@ -68,6 +69,72 @@ fn usgs_dem_has_profiles_from_the_south() {
         ([&USGS_DEM[..1024 + 150], b"  high", &USGS_DEM[1024 + 156..]].concat(), "height 2 of profile 1 is no number"),
     ] {
         fs::write(&path, bytes).unwrap();
+        let error = error(&path, &usual());
+        assert!(error.contains(why), "{error}, not {why}");
+    }
+}
+
+/// Returns the file of [`warped`]: `1000 + 37 x + 11 y²`, and one sample without data.
+pub fn source() -> Vec<u8> {
+    let value = |k: u16| if k == 4 * 12 + 7 { 0 } else { 1000 + 37 * (k % 12) + 11 * (k / 12) * (k / 12) };
+    tiff(vec![
+        Image::new([12, 10], 16, 1, (0..120).flat_map(|k| value(k).to_le_bytes()).collect())
+            .at([7.5, 46.5], [0.001; 2]),
+    ])
+}
+
+/// Returns a virtual raster that GDAL warped from UTM.
+pub fn warped(resampling: &str) -> String {
+    format!(
+        r#"<VRTDataset rasterXSize="14" rasterYSize="11" subClass="VRTWarpedDataset"><SRS>EPSG:4326</SRS>
+        <GeoTransform>9.0002, 3.071428571429026e-04, 0, 46.9533, 0, -2.3636363636373144e-04</GeoTransform>
+        <VRTRasterBand dataType="Float32" band="1" subClass="VRTWarpedRasterBand"><NoDataValue>0</NoDataValue></VRTRasterBand>
+        <GDALWarpOptions><ResampleAlg>{resampling}</ResampleAlg><Option name="INIT_DEST">NO_DATA</Option>
+        <SourceDataset relativeToVRT="1">a.tif</SourceDataset><Transformer><ApproxTransformer><MaxError>0.125</MaxError>
+        <BaseTransformer><GenImgProjTransformer><SrcGeoTransform>500000,30,0,5200000,0,-30</SrcGeoTransform>
+        <ReprojectTransformer><ReprojectionTransformer><SourceSRS>EPSG:32632</SourceSRS><TargetSRS>EPSG:4326</TargetSRS>
+        </ReprojectionTransformer></ReprojectTransformer></GenImgProjTransformer></BaseTransformer></ApproxTransformer>
+        </Transformer><BandList><BandMapping src="1" dst="1"><SrcNoDataReal>0</SrcNoDataReal></BandMapping></BandList>
+        </GDALWarpOptions></VRTDataset>"#
+    )
+}
+
+#[test]
+fn warped_virtual_rasters_have_the_values_of_gdal() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("a.tif"), source()).unwrap();
+    let path = folder.path().join("a.vrt");
+    let places = [(0, 0), (3, 2), (6, 5), (10, 8)];
+    // What GDAL 3.6 reads from it.
+    for (resampling, values) in [
+        ("NearestNeighbour", [1011.0, 1210.0, 1460.0, 2000.0]),
+        ("Bilinear", [1023.34, 1174.74, 1482.52, 1972.43]),
+        ("Cubic", [1023.34, 1172.0, 1482.52, 1970.61]),
+    ] {
+        fs::write(&path, warped(resampling)).unwrap();
+        let raster = Raster::read(&path).unwrap();
+        assert_eq!(raster.size(), [14, 11]);
+        let sample = |column: i32, row: i32| {
+            let (column, row) = (f64::from(column) + 0.5, f64::from(row) + 0.5);
+            at(&raster, 9.0002 + column * 0.004_3 / 14.0, 46.9533 - row * 0.0026 / 11.0)
+        };
+        for ((column, row), value) in places.into_iter().zip(values) {
+            let found = sample(column, row);
+            assert!((found - value).abs() < 0.02, "{resampling}: {found}, not {value}, at {column}, {row}");
+        }
+        // Without data, and outside of the file.
+        assert!([(8, 4), (9, 4), (13, 10)].into_iter().all(|(column, row)| sample(column, row).is_nan()));
+    }
+    let whole = warped("Bilinear");
+    for (text, why) in [
+        (warped("Lanczos"), "`ResampleAlg Lanczos` is not supported"),
+        (whole.replace("<BandList>", "<Cutline>POLYGON EMPTY</Cutline><BandList>"), "`Cutline` is not supported"),
+        (whole.replace("GenImgProjTransformer", "GCPTransformer"), "without GenImgProjTransformer"),
+        (whole.replace("30,0,5200000", "30,5200000"), "SrcGeoTransform has not 6 numbers"),
+        (whole.replace("dst=\"1\"", "dst=\"2\""), "no BandMapping of band 1"),
+        (whole.replace("a.tif", "a.vrt"), "or a loop of them"),
+    ] {
+        fs::write(&path, text).unwrap();
         let error = error(&path, &usual());
         assert!(error.contains(why), "{error}, not {why}");
     }

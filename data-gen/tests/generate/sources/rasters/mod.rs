@@ -1,4 +1,4 @@
-//! Formats of other programs: netCDF, Erdas Imagine, grids of Surfer and SAGA, JPEG 2000, USGS DEM.
+//! Formats of other programs: netCDF, Erdas Imagine, grids of Surfer and SAGA, JPEG 2000, USGS DEM, warped virtual rasters.
 
 pub mod erdas;
 pub mod gdal;
