@@ -3,8 +3,9 @@
 use std::fs;
 
 use super::{at, check_bounds, error, usual};
+use crate::sources::tile_archives::terrarium;
 use crate::tiffs::{Image, tiff};
-use terrane_data_gen::{Raster, RasterOptions};
+use terrane_data_gen::{HeightEncoding, Raster, RasterOptions};
 
 /// 12 x 10 signed samples of `-300 + 37 x - 11 y²`: placed by GeoJP2 in UTM, by GMLJP2 in degrees, and without boxes.
 pub const JPEG_2000: [&[u8]; 3] = [include_bytes!("geo.jp2"), include_bytes!("gml.jp2"), include_bytes!("raw.j2k")];
@@ -138,4 +139,31 @@ fn warped_virtual_rasters_have_the_values_of_gdal() {
         let error = error(&path, &usual());
         assert!(error.contains(why), "{error}, not {why}");
     }
+}
+
+/// Regression: rows of a folder that `mb-util` wrote were counted from the north, so that the tiles lay on the other hemisphere.
+#[test]
+fn folders_of_web_tiles_name_their_scheme() {
+    let folder = tempfile::tempdir().unwrap();
+    let column = folder.path().join("7/66");
+    fs::create_dir_all(&column).unwrap();
+    fs::write(column.join("44.png"), terrarium(300.0)).unwrap();
+    let options = RasterOptions { encoding: HeightEncoding::Terrarium, ..usual() };
+    let south = || {
+        let raster = Raster::read_in(folder.path(), &options).unwrap();
+        assert_eq!(raster.range_m().unwrap(), [300.0; 2]);
+        raster.bounds()[1].to_degrees()
+    };
+    assert!((45.0..50.0).contains(&south()), "{}", south());
+    for (file, text, is_tms) in [
+        ("metadata.json", r#"{"name": "a", "scheme": "tms"}"#, true),
+        ("metadata.json", r#"{"name": "a", "scheme": "xyz"}"#, false),
+        ("metadata.json", "no JSON", false),
+        ("tiles.json", r#"{"scheme": "tms"}"#, true),
+    ] {
+        fs::write(folder.path().join(file), text).unwrap();
+        assert_eq!((-50.0..-45.0).contains(&south()), is_tms, "{file}: {text}");
+    }
+    fs::rename(column.join("44.png"), column.join("44@2x.png")).unwrap();
+    assert!((-50.0..-45.0).contains(&south()), "{}", south());
 }
