@@ -55,8 +55,8 @@ pub enum Voids {
 pub struct GenArgs {
     /// Folder to write, or a folder in a bucket: s3://BUCKET/FOLDER, gs://... or az://...
     pub out: PathBuf,
-    /// Elevation: GeoTIFF, VRT, HGT (also in a zip file), DTED, netCDF, Erdas Imagine, PNG, PMTiles, MBTiles, EXR, ASCII grid, XYZ, a
-    /// grid of Surfer or SAGA, or plain samples with a .hdr file; a folder of them or of web tiles z/x/y.png; a pattern such as "*.tif"; a text file with a path in each
+    /// Elevation: GeoTIFF, VRT, HGT (also in a zip file), DTED, USGS DEM, netCDF, Erdas Imagine, JPEG 2000, PNG, PMTiles, MBTiles, EXR, ASCII grid,
+    /// XYZ, a grid of Surfer or SAGA, or plain samples with a .hdr file; a folder of them or of web tiles z/x/y.png; a pattern such as "*.tif"; a text file with a path in each
     /// line; the address of a GeoTIFF or of PMTiles (https, s3). Where files overlap, the first with data wins
     #[arg(long, value_name = "FILE", num_args = 1..)]
     pub dem: Vec<PathBuf>,

@@ -62,6 +62,9 @@ pub(super) fn open(
         return Err(bad(&format!("more than {MAX_DEPTH} virtual rasters inside of one another, or a loop of them")));
     }
     let raster = VirtualRaster::open(path, cache)?;
+    if raster.warp.is_some() {
+        return Err(bad("`VRTWarpedDataset` is not supported for colours; gdal_translate writes it as GeoTIFF"));
+    }
     let placement = Placement::of_virtual(path, &raster.metadata, raster.size, given.clone(), cache)?;
     let colors: Vec<_> = raster.bands.iter().filter(|band| !band.is_alpha).take(3).collect();
     // A loop over the sources of the first band covers all bands if each has the same ones.

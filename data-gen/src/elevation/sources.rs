@@ -15,7 +15,7 @@ use crate::web_tiles::{TileContent, is_folder_of_tiles};
 /// The extensions of elevation files in folders.
 const ELEVATION: &[&str] = &[
     "tif", "tiff", "hgt", "zip", "gz", "asc", "png", "exr", "pmtiles", "mbtiles", "dt0", "dt1", "dt2", "bil", "bip",
-    "bsq", "flt", "xyz", "nc", "grd", "sdat", "img",
+    "bsq", "flt", "xyz", "nc", "grd", "sdat", "img", "jp2", "j2k", "dem",
 ];
 /// The extensions of imagery in folders.
 const IMAGERY: &[&str] = &["tif", "tiff", "png", "jpg", "jpeg", "webp", "pmtiles", "mbtiles"];

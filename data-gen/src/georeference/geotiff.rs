@@ -124,12 +124,7 @@ impl Tiff {
         let missing = MissingBlocks::of(ifd, &layout, file.source().len());
         let missing = missing.map_err(|reason| GenError::invalid(path, format!("TIFF: {reason}")))?;
         let text = |tag: u16| ifd.tag(tag).and_then(|tag| tag.value.as_str()).unwrap_or_default();
-        let directory = ifd.tag(GEO_KEY_DIRECTORY).and_then(|tag| tag.value.as_u16_slice()).unwrap_or_default();
-        let keys = GeoKeys::new(
-            directory.to_vec(),
-            numbers(ifd, GEO_DOUBLE_PARAMS).unwrap_or_default(),
-            text(GEO_ASCII_PARAMS).to_owned(),
-        );
+        let keys = keys(ifd);
         let nodata = text(GDAL_NODATA).trim_matches(|c: char| c == '\0' || c.is_whitespace());
         let nodata =
             if nodata.contains("#IND") || nodata.contains("#QNAN") { Some(f64::NAN) } else { nodata.parse().ok() };
@@ -154,6 +149,15 @@ impl Tiff {
             file,
             index,
         })
+    }
+
+    /// Returns the transform and the keys of a TIFF in the bytes of another file, such as the box of GeoJP2. The error is the
+    /// reason.
+    pub(super) fn embedded(bytes: &[u8]) -> Result<(Option<GeoTransform>, GeoKeys), String> {
+        let file = TiffFile::from_bytes(bytes.to_vec()).map_err(|e| e.to_string())?;
+        let ifd = file.ifd(0).map_err(|e| e.to_string())?;
+        let keys = keys(ifd);
+        Ok((transform(ifd, &keys), keys))
     }
 
     /// Returns the overviews, largest first: images of the file that say so, or those of the file beside it with the extension
@@ -491,6 +495,13 @@ fn item_of(xml: &str, attribute: &str, channel: Option<usize>) -> Option<String>
 /// Returns the numbers of a tag.
 fn numbers(ifd: &Ifd, tag: u16) -> Option<Vec<f64>> {
     ifd.tag(tag)?.value.as_f64_vec()
+}
+
+/// Returns the keys of an image's reference system.
+fn keys(ifd: &Ifd) -> GeoKeys {
+    let text = ifd.tag(GEO_ASCII_PARAMS).and_then(|tag| tag.value.as_str()).unwrap_or_default();
+    let directory = ifd.tag(GEO_KEY_DIRECTORY).and_then(|tag| tag.value.as_u16_slice()).unwrap_or_default();
+    GeoKeys::new(directory.to_vec(), numbers(ifd, GEO_DOUBLE_PARAMS).unwrap_or_default(), text.to_owned())
 }
 
 /// Returns the transform in the tags ModelPixelScale and ModelTiepoint, or in ModelTransformation.

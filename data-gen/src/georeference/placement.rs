@@ -78,6 +78,11 @@ impl Placement {
         Self { transform, ..self.clone() }
     }
 
+    /// Returns the placement of an image with another transform in the same reference system.
+    pub fn with_transform(&self, transform: GeoTransform) -> Self {
+        Self { transform, ..self.clone() }
+    }
+
     /// Returns the longitude and latitude in radians of a column and row. Whole numbers are pixel corners.
     pub fn longitude_latitude(&self, column: f64, row: f64) -> [f64; 2] {
         let [x, y] = self.transform.at(column, row);
@@ -150,6 +155,23 @@ impl Placement {
         cache: &Arc<BlockCache>,
     ) -> Result<Self, GenError> {
         Ok(Self::new(transform, unnamed_crs(path, &transform, size, given, metadata, cache)?))
+    }
+
+    /// Positions an image by the tags of a TIFF inside of its file. `None` if they have no transform.
+    pub fn of_embedded(
+        path: &Path,
+        tiff: &[u8],
+        size: [usize; 2],
+        given: Option<Crs>,
+        cache: &Arc<BlockCache>,
+    ) -> Result<Option<Self>, GenError> {
+        let bad = |reason: String| GenError::invalid(path, reason);
+        let (transform, keys) = Tiff::embedded(tiff).map_err(bad)?;
+        let Some(transform) = transform else { return Ok(None) };
+        match keys.crs(given.clone()).map_err(bad)? {
+            Some(crs) => Ok(Some(Self::new(transform, crs))),
+            None => Self::of_header(path, transform, size, given, &Metadata::beside(path, cache)?, cache).map(Some),
+        }
     }
 
     /// Positions a virtual raster by its metadata. `None` if it has no transform.

@@ -5,6 +5,8 @@ use std::sync::Arc;
 
 use roxmltree::{Document, Node, ParsingOptions};
 
+use super::warp::Warp;
+use super::xml::{child, children, number, path_of, unsupported};
 use crate::GenError;
 use crate::georeference::Metadata;
 use crate::store::{BlockCache, text_of};
@@ -21,6 +23,8 @@ pub(crate) struct VirtualRaster {
     /// The georeference, and the nodata values and units of the bands.
     pub metadata: Metadata,
     pub bands: Vec<VirtualBand>,
+    /// The file that is resampled; the bands have no sources then.
+    pub warp: Option<Warp>,
 }
 
 /// A band, from 1 on.
@@ -48,7 +52,7 @@ pub(crate) struct VirtualSource {
 }
 
 impl VirtualRaster {
-    /// Reads a file. Virtual rasters that warp files or compute values are refused.
+    /// Reads a file. Virtual rasters that compute values are refused.
     pub fn open(path: &Path, cache: &Arc<BlockCache>) -> Result<Self, GenError> {
         let text = text_of(path, cache, |_| true)?;
         let text = text.ok_or_else(|| GenError::invalid(path, "VRT: too large, or not a file"))?;
@@ -63,7 +67,10 @@ impl VirtualRaster {
         if root.tag_name().name() != "VRTDataset" {
             return Err(format!("its root is `{}`, not `VRTDataset`", root.tag_name().name().escape_debug()));
         }
-        is_plain(&root)?;
+        let is_warped = root.attribute("subClass") == Some("VRTWarpedDataset");
+        if !is_warped {
+            is_plain(&root)?;
+        }
         let side = |name: &str| {
             let found = number(root.attribute(name), name)?;
             let is_side = found.fract() == 0.0 && (1.0..=MAX_SIDE).contains(&found);
@@ -79,6 +86,7 @@ impl VirtualRaster {
             size: [side("rasterXSize")?, side("rasterYSize")?],
             metadata: Metadata::of_virtual(path, text)?,
             bands,
+            warp: if is_warped { Some(Warp::read(&root, path)?) } else { None },
         })
     }
 
@@ -86,6 +94,7 @@ impl VirtualRaster {
     pub fn files(&self) -> Vec<PathBuf> {
         let mut files: Vec<PathBuf> =
             self.bands.iter().flat_map(|band| &band.sources).map(|source| source.path.clone()).collect();
+        files.extend(self.warp.iter().map(|warp| warp.path.clone()));
         files.sort();
         files.dedup();
         files
@@ -146,43 +155,12 @@ impl VirtualSource {
     }
 }
 
-/// Returns the path or the address of a source. GDAL's names of remote files have a prefix.
-fn path_of(name: &str, is_relative: bool, raster: &Path) -> PathBuf {
-    for (prefix, scheme) in [("/vsicurl/", ""), ("/vsis3/", "s3://"), ("/vsigs/", "gs://"), ("/vsiaz/", "az://")] {
-        if let Some(rest) = name.strip_prefix(prefix) {
-            return PathBuf::from(format!("{scheme}{rest}"));
-        }
-    }
-    match raster.parent() {
-        Some(folder) if is_relative => folder.join(name),
-        _ => PathBuf::from(name),
-    }
-}
-
 /// Returns an error for a document or a band that computes its pixels.
 fn is_plain(node: &Node<'_, '_>) -> Result<(), String> {
     match node.attribute("subClass") {
-        None | Some("VRTSourcedRasterBand") => Ok(()),
+        None | Some("VRTSourcedRasterBand" | "VRTWarpedRasterBand") => Ok(()),
         Some(other) => Err(unsupported(other)),
     }
-}
-
-fn unsupported(name: &str) -> String {
-    format!("`{}` is not supported; gdal_translate writes the raster as GeoTIFF", name.escape_debug())
-}
-
-fn children<'a, 'b>(node: &Node<'a, 'b>, name: &'static str) -> impl Iterator<Item = Node<'a, 'b>> + use<'a, 'b> {
-    node.children().filter(move |child| child.is_element() && child.tag_name().name() == name)
-}
-
-fn child<'a, 'b>(node: &Node<'a, 'b>, name: &str) -> Option<Node<'a, 'b>> {
-    node.children().find(|child| child.is_element() && child.tag_name().name() == name)
-}
-
-/// Reads a finite number. The error is the reason.
-fn number(text: Option<&str>, name: &str) -> Result<f64, String> {
-    let text = text.ok_or_else(|| format!("no {name}"))?.trim();
-    text.parse().ok().filter(|n: &f64| n.is_finite()).ok_or_else(|| format!("{name} is `{}`", text.escape_debug()))
 }
 
 /// Reads the rectangle in an element; `None` without the element.

@@ -3,6 +3,8 @@
 //!
 //! ```text
 //! document  the XML: the size, the georeference, and for each band the sources with their rectangles
+//! warp      the part of the XML about a file that is resampled into another reference system
+//! xml       what both read: elements, numbers and paths
 //! image     the pixels: the blocks of the sources' images, copied or resampled; later sources lie on top
 //! ```
 //!
@@ -10,12 +12,15 @@
 
 mod document;
 mod image;
+mod warp;
+mod xml;
 
 use std::path::Path;
 
 use crate::store::is_remote;
 pub(crate) use document::{VirtualRaster, VirtualSource};
 pub(crate) use image::{Piece, VirtualImage, VirtualPixels};
+pub(crate) use warp::{Resampling, Warp};
 
 /// The maximum number of virtual rasters that may be nested, the outermost included. Rasters that name one another in a loop are
 /// refused at this depth.

@@ -1,5 +1,6 @@
 //! Folders of tiles in the scheme of XYZ, `z/x/y.png`, or of TMS, whose rows count from the south: a folder with the file
-//! `tilemapresource.xml`.
+//! `tilemapresource.xml` (`gdal2tiles`), or with the scheme `tms` in its `metadata.json` (`mb-util`) or `tiles.json`. Tiles of twice
+//! the usual size may be named `z/x/y@2x.png`.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -13,6 +14,11 @@ const EXTENSIONS: &[&str] = &["png", "jpg", "jpeg", "webp"];
 
 /// The file that describes a folder of TMS.
 const TMS: &str = "tilemapresource.xml";
+/// The files whose `scheme` says from where rows count, and the largest one that is read.
+const SCHEMES: [&str; 2] = ["metadata.json", "tiles.json"];
+const MAX_SCHEME_BYTES: u64 = 1 << 20;
+/// The end of the names of tiles of twice the usual size.
+const TWICE: &str = "@2x";
 
 /// A folder of tiles.
 struct Folder {
@@ -29,9 +35,11 @@ struct Folder {
 
 /// Returns the tile that a path names by its last three parts, `None` if they are not the numbers of a tile.
 pub(crate) fn tile_of(path: &Path) -> Option<WebTile> {
-    let number = |path: &Path| path.file_stem()?.to_str().filter(|name| !name.starts_with('+'))?.parse().ok();
-    let (column, zoom) = (path.parent()?, path.parent()?.parent()?);
-    let [zoom, x, y]: [u32; 3] = [number(zoom)?, number(column)?, number(path)?];
+    let stem = |path: &Path| Some(path.file_stem()?.to_str()?.to_owned());
+    let number = |name: &str| Some(name).filter(|name| !name.starts_with('+'))?.parse().ok();
+    let (column, zoom, row) = (path.parent()?, path.parent()?.parent()?, stem(path)?);
+    let row = row.strip_suffix(TWICE).unwrap_or(&row);
+    let [zoom, x, y]: [u32; 3] = [number(&stem(zoom)?)?, number(&stem(column)?)?, number(row)?];
     let is_valid = zoom <= MAX_ZOOM && x.max(y) < 1 << zoom;
     is_valid.then_some(WebTile { zoom, x: x as usize, y: y as usize })
 }
@@ -51,13 +59,23 @@ pub(crate) fn is_folder_of_tiles(folder: &Path) -> bool {
 /// Returns whether a folder is one of TMS. Other tiles than those of Web Mercator are an error.
 fn is_tms(folder: &Path) -> Result<bool, GenError> {
     let path = folder.join(TMS);
-    let Ok(text) = std::fs::read_to_string(&path) else { return Ok(false) };
+    let Ok(text) = std::fs::read_to_string(&path) else {
+        return Ok(SCHEMES.iter().any(|name| names_tms(&folder.join(name))));
+    };
     let is_mercator =
         ["EPSG:3857", "EPSG:900913", "OSGEO:41001", "profile=\"mercator\"", "profile=\"global-mercator\""];
     match is_mercator.iter().any(|name| text.contains(name)) {
         true => Ok(true),
         false => Err(GenError::invalid(path, "tiles of another system than Web Mercator, which are not supported")),
     }
+}
+
+/// Returns true for a file of JSON with the scheme `tms`.
+fn names_tms(path: &Path) -> bool {
+    let is_small = path.metadata().is_ok_and(|found| found.is_file() && found.len() <= MAX_SCHEME_BYTES);
+    let read = || serde_json::from_slice::<serde_json::Value>(&std::fs::read(path).ok()?).ok();
+    let found = if is_small { read() } else { None };
+    found.is_some_and(|found| found["scheme"].as_str().is_some_and(|scheme| scheme.eq_ignore_ascii_case("tms")))
 }
 
 /// Returns the tile of a file in a folder, or that of the file with another row.
@@ -73,7 +91,8 @@ fn tiles(zoom: &Path, extensions: &[&str]) -> Vec<(WebTile, PathBuf)> {
         |path: &PathBuf| path.extension().is_some_and(|e| extensions.iter().any(|known| e.eq_ignore_ascii_case(known)));
     let paths = files.map(|entry| entry.path()).filter(is_tile);
     let mut tiles: Vec<_> = paths.filter_map(|path| Some((tile_of(&path)?, path))).collect();
-    tiles.sort_by_key(|(tile, _)| (tile.x, tile.y));
+    // A tile of twice the size comes after the one of the usual size, and is read in its place.
+    tiles.sort_by(|(a, path), (b, other)| (a.x, a.y, path).cmp(&(b.x, b.y, other)));
     tiles
 }
 

@@ -1,5 +1,5 @@
-//! Readers of elevation files: GeoTIFF, HGT, DTED, PNG, EXR, netCDF, Erdas Imagine, grids of Surfer, ASCII grids, points in text
-//! files, plain samples with a header, virtual rasters, PMTiles, MBTiles and folders of web tiles.
+//! Readers of elevation files: GeoTIFF, HGT, DTED, USGS DEM, PNG, EXR, JPEG 2000, netCDF, Erdas Imagine, grids of Surfer, ASCII
+//! grids, points in text files, plain samples with a header, virtual rasters, PMTiles, MBTiles and folders of web tiles.
 //!
 //! Files are opened before a run begins; the threads of the run read blocks of them, several at the same time.
 
@@ -8,10 +8,12 @@ mod dted;
 mod erdas;
 mod exr;
 mod hgt;
+mod jpeg2000;
 mod netcdf;
 mod plain;
 mod png;
 mod tiff;
+mod usgs_dem;
 mod virtual_raster;
 mod web_tiles;
 mod xyz;
@@ -124,16 +126,19 @@ fn open_at(
         [0x1f, 0x8b, ..] => hgt::open_gzip(path, &context.cache),
         [b'P', b'K', 3, 4, ..] => hgt::open_zip(path, &context.cache),
         _ if dted::is_dted(&magic) => dted::open(path),
+        _ if jpeg2000::is_jpeg2000(&magic) => jpeg2000::open(path, options, &context.cache),
         _ if is_virtual(path, &magic) => virtual_raster::open(path, options, context, depth),
         _ if ascii_grid::is_ascii_grid(&magic) => ascii_grid::open(path, options, &context.cache),
         [b'C', b'D', b'F', 1 | 2 | 5, ..] | [0x89, b'H', b'D', b'F', ..] => netcdf::open(path, options, context),
         [b'E', b'H', b'F', b'A', ..] => erdas::open(path, options, &context.cache),
         _ if plain::is_surfer(&magic) => plain::open_surfer(path, options, &context.cache),
         _ if let Some(format) = converted_first(&magic) => Err(GenError::invalid(path, format)),
+        _ if usgs_dem::is_usgs_dem(path)? => usgs_dem::open(path, options),
         _ if xyz::is_xyz(path)? => xyz::open(path, options, &context.cache),
         _ => plain::open(path, options, &context.cache)?.ok_or_else(|| {
-            let formats = "neither GeoTIFF, HGT (or a zip or gzip file of one), DTED, PNG, EXR, netCDF, Erdas Imagine, PMTiles, MBTiles, VRT, an ASCII \
-                           grid, a grid of Surfer, XYZ, nor plain samples with a .hdr, .sgrd or .lbl file beside them";
+            let formats = "neither GeoTIFF, HGT (or a zip or gzip file of one), DTED, USGS DEM, PNG, EXR, JPEG 2000, netCDF, Erdas \
+                           Imagine, PMTiles, MBTiles, VRT, an ASCII grid, a grid of Surfer, XYZ, nor plain samples with a .hdr, \
+                           .sgrd or .lbl file beside them";
             GenError::invalid(path, formats)
         }),
     }
@@ -176,8 +181,9 @@ fn converted_first(magic: &[u8]) -> Option<String> {
             return Some("points of a laser scan (LAS); pdal makes a raster of them".to_owned());
         }
         [0x0e, 0x03, 0x13, 0x01, ..] => "HDF of version 4",
-        [0, 0, 0, 12, b'j', b'P', ..] | [0xff, 0x4f, 0xff, 0x51, ..] => "JPEG 2000",
         [b'G', b'R', b'I', b'B', ..] => "GRIB",
+        [b'm', b's', b'i', b'd', ..] => "MrSID",
+        [b'N', b'I', b'T', b'F', ..] | [b'N', b'S', b'I', b'F', ..] => "NITF",
         [b'S', b'I', b'M', b'P', b'L', b'E', b' ', ..] => "FITS",
         [b'P', b'C', b'I', b'D', b'S', b'K', ..] => "PCIDSK",
         _ => return None,

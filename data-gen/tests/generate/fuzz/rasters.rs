@@ -101,6 +101,31 @@ fn erdas() -> Parser {
     raster("erdas", "a.img", false, &[rasters::erdas::usual_file()])
 }
 
+fn jpeg2000() -> Parser {
+    raster("jpeg-2000", "a.jp2", true, &rasters::gdal::JPEG_2000.map(<[u8]>::to_vec))
+}
+
+fn usgs_dem() -> Parser {
+    raster("usgs-dem", "a.dem", false, &[rasters::gdal::USGS_DEM.to_vec()])
+}
+
+/// Fuzzes the document; the file that it resamples is small.
+fn warped_raster() -> Parser {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("a.tif"), rasters::gdal::source()).unwrap();
+    let path = folder.path().join("a.vrt");
+    let seeds = ["Cubic", "Bilinear"].map(|resampling| rasters::gdal::warped(resampling).into_bytes());
+    Parser::new("warped-raster", seeds, move |bytes| {
+        std::fs::write(&path, bytes).unwrap();
+        // Errors may be those of the source.
+        if let Ok(raster) = Raster::read(&path)
+            && raster.size().iter().product::<usize>() <= MAX_SAMPLES
+        {
+            let _ = (raster.range_m(), &folder);
+        }
+    })
+}
+
 fn surfer() -> Parser {
     raster("surfer", "a.grd", false, &rasters::grids::surfer())
 }
@@ -317,6 +342,9 @@ kit::parsers! {
     ascii_grid,
     netcdf,
     erdas,
+    jpeg2000,
+    usgs_dem,
+    warped_raster,
     surfer,
     points,
     dted,

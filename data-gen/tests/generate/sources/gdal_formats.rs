@@ -289,7 +289,7 @@ fn virtual_rasters_that_cannot_be_read_say_why() {
         (whole.replace("a.tif", "a.vrt"), "more than 4 virtual rasters inside of one another"),
         (
             whole.replace("<VRTDataset ", "<VRTDataset subClass=\"VRTWarpedDataset\" "),
-            "`VRTWarpedDataset` is not supported",
+            "a warped raster without GDALWarpOptions",
         ),
         (whole.replace("ComplexSource", "KernelFilteredSource"), "`KernelFilteredSource` is not supported"),
         (whole.replace("<SourceBand>1", "<SourceBand>7"), "channels 1 to 1"),

@@ -1,6 +1,7 @@
-//! Formats of other programs: netCDF, Erdas Imagine, grids of Surfer and SAGA.
+//! Formats of other programs: netCDF, Erdas Imagine, grids of Surfer and SAGA, JPEG 2000, USGS DEM, warped virtual rasters.
 
 pub mod erdas;
+pub mod gdal;
 pub mod grids;
 pub mod netcdf;
 mod places;
