@@ -26,8 +26,9 @@ pub struct Limits {
     pub max_json_bytes: u64,
     /// Bytes of memory that one content may take from its bytes to its page: decompressed bytes, texels, vertices, indices,
     /// nodes and parsed JSON (half of its estimate), as their decoders ask for them before they allocate. What is freed on the way
-    /// counts too. One and a half gibibytes, the default, hold the largest file with the largest JSON; tiles take a hundredth.
-    /// Raise it for a single model with many large textures. The files of a content together may have as many bytes.
+    /// counts too. One and a half gibibytes, the default, hold the largest file with the largest JSON; usual tiles take a
+    /// hundredth of it. Raise it for a single model with many large textures. The files of a content together have a second limit
+    /// of the same size.
     pub max_content_bytes: u64,
     /// Time limit for reading or finding one local file, such as one on a network drive whose server is gone; the error is
     /// [`IoError::Timeout`]. A read that hangs cannot be stopped: its thread is left alone. 30 s by default, longer than a disk

@@ -14,7 +14,7 @@ use super::peak_bytes;
 
 /// The budget of one content in these tests.
 const BUDGET: u64 = 4 << 20;
-/// What a decoder may hold beside the budget: its input once more, tables of decompressors, and a list that has grown.
+/// The bytes that a decoder may hold beside the budget: its input once more, tables of decompressors, and a list that has grown.
 const SLACK: u64 = 2 << 20;
 
 fn options(max_content_bytes: u64) -> ReadOptions {

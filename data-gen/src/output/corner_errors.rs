@@ -90,7 +90,7 @@ pub(crate) fn is_round(set: &Extent) -> bool {
     set.east - set.west > std::f64::consts::TAU - crate::georeference::ROUNDING
 }
 
-/// Returns the place of a tile from the name of its content; `None` without content, and for an external tileset.
+/// Returns the key of a tile from the name of its content; `None` without content, and for an external tileset.
 fn key_of(tile: &Value) -> Option<TileKey> {
     let (name, extension) = tile.pointer("/content/uri")?.as_str()?.rsplit_once('.')?;
     let mut parts = name.rsplit('/').map(|part| part.parse().ok());

@@ -9,13 +9,18 @@ use super::form::Described;
 use super::points::sin_cos;
 use super::scatter::WIDEST_M;
 use super::tiles::WorldSet;
-use crate::output::{CornerErrors, TileErrors};
-use crate::output::{Entry, SUBTREE_LEVELS, SUBTREES, descendants, subtree, subtree_name, tile_class, undrawn_error_m};
+use crate::output::{
+    CornerErrors, Entry, SUBTREE_LEVELS, SUBTREES, TileErrors, descendants, subtree, subtree_name, tile_class,
+    undrawn_error_m,
+};
 use crate::pyramid::{CELLS, QUANTUM_M};
 use crate::{GenError, TileKey, body};
 
 /// The number of levels in a tileset.
 pub(super) const LEVELS_PER_TILESET: u32 = 3;
+
+/// Returns the error of a tile in metres.
+type ErrorOf<'a> = dyn Fn(TileKey) -> Result<f64, GenError> + Sync + 'a;
 
 /// The values that tilesets declare.
 pub(super) struct Descriptions<'a> {
@@ -25,7 +30,7 @@ pub(super) struct Descriptions<'a> {
     /// own.
     pub level_errors_m: &'a [f64],
     /// The errors of height tiles; `None` if those of the tiles around a tile are not known.
-    pub errors: Option<TileErrors<&'a (dyn Fn(TileKey) -> Result<f64, GenError> + Sync)>>,
+    pub errors: Option<TileErrors<&'a ErrorOf<'a>>>,
 }
 
 impl Descriptions<'_> {

@@ -10,8 +10,10 @@ use super::surface::World;
 use super::tiles::{WorldSet, WorldTile};
 use super::tileset::{Descriptions, LEVELS_PER_TILESET};
 use crate::args::{ContentKind, GenArgs};
-use crate::output::{BlockFile, Journal, Kind, ListedTile, SUBTREE_LEVELS, TileList, Tiling, descendants, write_whole};
-use crate::output::{RATIO, TileErrors, is_round};
+use crate::output::{
+    BlockFile, Journal, Kind, ListedTile, RATIO, SUBTREE_LEVELS, TileErrors, TileList, Tiling, descendants, is_round,
+    write_whole,
+};
 use crate::pyramid::{CELLS, Samples, Window, distance_to_finer_m};
 use crate::{GenError, Progress, Shard, Summary, TileKey};
 

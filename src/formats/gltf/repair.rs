@@ -1,4 +1,5 @@
-//! Repairs the JSON of a glTF that the crate `gltf` refuses, so that one invalid object spoils only itself.
+//! Repairs the JSON of a glTF that the crate `gltf` refuses, so that one invalid object spoils only itself. `document.rs` calls it
+//! after such a refusal alone; nodes with several parents are the matter of `node_tree.rs`.
 //!
 //! Objects that cannot be read become empty ones, since others refer to objects by their index. References to them, and
 //! references beyond a list, are removed: an accessor takes its attribute along, a texture leaves the factor of the material.
@@ -284,7 +285,7 @@ impl Repair<'_> {
         }
     }
 
-    /// Repairs a node. Returns false if its place is lost, without which it is not drawn.
+    /// Repairs a node. Returns false if its transform is lost, without which it is not drawn.
     fn node(&mut self, node: &mut Object, meshes: &[bool], skins: &[bool], nodes: &[bool]) -> bool {
         const PLACE: [&str; 4] = ["matrix", "translation", "rotation", "scale"];
         if let Some(mesh) = node.get("mesh").filter(|mesh| !is_valid(Some(*mesh), meshes)) {

@@ -1,8 +1,8 @@
 //! [`CornerErrors`]: geometric errors at the corners of height tiles, from which tiles are chosen and morphed.
 //!
 //! The error at a corner is the largest of the four tiles of the level around it, so that tiles that share an edge have the
-//! same errors along it. Between the corners the error is interpolated. A tile is refined by the largest of its own four.
-//! `docs/decisions/0077-errors-of-height-tiles-are-interpolated.md` shows why no cracks open.
+//! same errors along it. Between the corners the error is interpolated. A tile is refined by the largest of its four.
+//! Decision 0077 shows why no cracks open.
 
 use crate::scene::MORPH_LEVELS;
 
@@ -50,7 +50,7 @@ impl LevelErrors {
     }
 }
 
-/// Returns the error at a place in a tile, x east and y north, each from 0 to 1.
+/// Returns the error at a point of a tile, x east and y north, each from 0 to 1.
 fn interpolated([south_west, south_east, north_west, north_east]: CornerErrors, x: f64, y: f64) -> f64 {
     let between = |a: f64, b: f64, share: f64| a * (1.0 - share) + b * share;
     between(between(south_west, south_east, x), between(north_west, north_east, x), y)

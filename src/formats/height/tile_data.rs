@@ -2,8 +2,9 @@
 //!
 //! `asset.extras.terrane` of the tileset has the properties that all tiles share. Each tile has a region (or
 //! `extras.terrane.plane`: smallest x and y, largest x and y in metres, for sets that are not on the earth),
-//! `extras.terrane.imagery`, and `extras.terrane.corner_errors_m`, without which it has the error of its level. The reader of
-//! the tileset passes them to the decoder as `reader_data`, JSON of [`TileData`].
+//! `extras.terrane.imagery`, and `extras.terrane.corner_errors_m`. Without the last, or if it is invalid, it has the error of its level
+//! in `level_errors_m`, or else its `geometricError`. The reader of the tileset passes them to the decoder as `reader_data`,
+//! JSON of [`TileData`].
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -56,7 +57,7 @@ pub(in crate::formats) struct HeightSet {
     border: u32,
     /// Geometric errors by level of the whole set, in metres.
     level_errors_m: Vec<f64>,
-    /// Those of the levels above the tileset's root, at the corners of the root.
+    /// The errors of the levels above the tileset's root, at the corners of the root.
     above_root: LevelErrors,
     /// The level of the tileset's root in the whole set: above 0 in external tilesets.
     root_level: u32,
@@ -108,7 +109,7 @@ fn are_corner_errors(errors_m: &[CornerErrors]) -> bool {
     errors_m.len() <= 64 && errors_m.iter().all(are_valid)
 }
 
-/// What a tileset says of a height tile.
+/// The description of a height tile in a tileset.
 pub(in crate::formats) struct HeightTileJson<'a> {
     /// The level, which counts from the tileset's root.
     pub level: u32,

@@ -83,7 +83,7 @@ impl Semantic {
 pub(super) struct Overrides {
     pub volume: VolumeOverrides,
     pub geometric_error: Option<f64>,
-    /// Geometric errors of a height tile, which has a part of the ground: nothing scales them.
+    /// Geometric errors at the corners of a height tile, in metres on the ground. The transform of the tile does not scale them.
     pub corner_errors_m: Option<CornerErrors>,
     pub refine: Option<Refine>,
     /// The transform to the frame of the tile above.

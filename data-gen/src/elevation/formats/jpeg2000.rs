@@ -57,12 +57,12 @@ struct Header {
     is_signed: bool,
 }
 
-/// What the boxes of a file say.
+/// The codestream and the georeference in the boxes of a file.
 #[derive(Default)]
 struct Boxes {
     /// The position of the codestream.
     codestream: Option<u64>,
-    /// A TIFF whose tags place the image.
+    /// A TIFF whose tags georeference the image.
     geotiff: Option<Vec<u8>>,
     /// Texts of XML.
     texts: Vec<String>,

@@ -30,7 +30,7 @@ use crate::virtual_raster::is_virtual;
 use crate::web_tiles::is_archive;
 pub(crate) use png::rows as png_rows;
 
-/// Largest number of samples in a file that is decoded as a whole.
+/// Largest number of samples of a file that is decoded as a whole, where its reader has no smaller limit.
 const MAX_SAMPLES: usize = 1 << 36;
 /// Largest number of samples that one byte of a compressed file can hold: deflate packs at most 1,032 bytes into one.
 const MAX_SAMPLES_PER_BYTE: u64 = 1032;
@@ -53,7 +53,7 @@ pub struct RasterOptions {
     /// The reference system of files that do not name their own.
     pub crs: Option<Crs>,
     /// The channel with heights: a name in EXR files (after the part's name and a colon, if the file has several parts), a
-    /// variable in netCDF, a number from 1 in GeoTIFF and Erdas Imagine.
+    /// variable in netCDF, a number from 1 in GeoTIFF, Erdas Imagine and JPEG 2000.
     pub channel: Option<String>,
     /// A value of samples without data, beside the one that a file declares.
     pub nodata: Option<f64>,

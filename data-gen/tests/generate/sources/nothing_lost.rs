@@ -379,7 +379,7 @@ fn sets_without_colour_have_no_images() {
     run(&plain).unwrap();
     let names: Vec<String> = crate::files::files_below(&plain.out).into_keys().collect();
     assert_eq!(names, ["0/0/0.exr", "tileset.json"]);
-    assert!(tileset(&plain.out)["root"]["extras"].is_null());
+    assert!(tileset(&plain.out)["root"]["extras"]["terrane"]["imagery"].is_null());
     let meshes = GenArgs { color: Color::None, content: ContentKind::Mesh, overwrite: true, ..dem.clone() };
     run(&meshes).unwrap();
     let glb = fs::read(meshes.out.join("0/0/0.glb")).unwrap();

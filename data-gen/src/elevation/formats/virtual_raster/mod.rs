@@ -121,7 +121,7 @@ struct SourceFile<'a> {
     nodata: Option<f64>,
     /// The number by which the virtual raster multiplies samples, and the one that it adds then.
     factor_and_offset: [f64; 2],
-    /// Those of the virtual raster's band, in metres.
+    /// The factor and the offset of the virtual raster's band, in metres.
     units: [f64; 2],
 }
 

@@ -106,7 +106,7 @@ fn warped_virtual_rasters_have_the_values_of_gdal() {
     fs::write(folder.path().join("a.tif"), source()).unwrap();
     let path = folder.path().join("a.vrt");
     let places = [(0, 0), (3, 2), (6, 5), (10, 8)];
-    // What GDAL 3.6 reads from it.
+    // GDAL 3.6 reads these values from it.
     for (resampling, values) in [
         ("NearestNeighbour", [1011.0, 1210.0, 1460.0, 2000.0]),
         ("Bilinear", [1023.34, 1174.74, 1482.52, 1972.43]),
