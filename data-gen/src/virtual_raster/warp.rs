@@ -1,4 +1,5 @@
-//! The warp of a virtual raster (`gdalwarp -of VRT`): the file that it resamples, and the place of that file's pixels. Any thread.
+//! The warp of a virtual raster (`gdalwarp -of VRT`): the file that it resamples, and the placement of that file's pixels. Any
+//! thread.
 
 use std::path::{Path, PathBuf};
 
@@ -21,7 +22,7 @@ pub(crate) struct Warp {
     pub path: PathBuf,
     /// The bands of the virtual raster in their order, each with the band of the file, and the value without data there.
     pub bands: Vec<(usize, usize, Option<f64>)>,
-    /// The place of the file's pixels.
+    /// The placement of the file's pixels.
     pub transform: GeoTransform,
     /// The file's reference system; that of the virtual raster if it names none.
     pub system: Option<String>,

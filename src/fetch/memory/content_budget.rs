@@ -1,6 +1,6 @@
 //! The memory that one content may take: asked by its decoder before each allocation that a file's numbers decide. Any thread.
 //!
-//! [`limited`] runs a decoder with a budget, and [`ask`] is the one place that grants or refuses bytes. The count is of all that
+//! [`limited`] runs a decoder with a budget, and only [`ask`] grants or refuses bytes. The count is of all that
 //! was asked for, whether or not it was freed meanwhile, so that it bounds the peak. It is thread-local, since one thread
 //! decodes a content from its bytes to its page; outside of [`limited`] any number is granted.
 //!

@@ -30,7 +30,7 @@ const PROFILES: usize = 64;
 const MAX_PROFILES: usize = 1 << 16;
 /// The most samples between the southernmost and the northernmost height.
 const MAX_ROWS: f64 = 65_536.0;
-/// The largest distance of a profile from its place, in samples.
+/// The largest distance of a profile from its column of the grid, in samples.
 const TOLERANCE: f64 = 0.25;
 
 /// A profile of heights.
@@ -172,7 +172,7 @@ impl Header {
     }
 }
 
-/// Reads the place and the head of each profile. The error is the reason.
+/// Reads the position and the head of each profile. The error is the reason.
 fn heads(file: &mut File, stride: usize, count: usize, to_unit: f64) -> Result<Vec<([f64; 2], Profile)>, String> {
     let mut heads = Vec::new();
     let mut record = 1;

@@ -17,7 +17,7 @@ pub(super) struct LocalFile {
 }
 
 impl LocalFile {
-    /// Opens the file of an archive whose directory is to be read. Errors name its path.
+    /// Opens the file of an archive to read its directory. Errors name its path.
     pub fn open(path: &Path) -> Result<(Self, File), IoError> {
         let failed = |e: io::Error| IoError::of_file(&path.display().to_string(), &e);
         let metadata = std::fs::metadata(path).map_err(failed)?;

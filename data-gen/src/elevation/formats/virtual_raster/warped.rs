@@ -16,14 +16,14 @@ const MIN_WEIGHT: f64 = 1e-5;
 /// A file in another grid.
 struct Warped {
     image: PixelImage,
-    /// The places of the file's pixels, and of those of the virtual raster.
+    /// The placements of the file's pixels, and of those of the virtual raster.
     from: Placement,
     to: Placement,
     resampling: Resampling,
 }
 
-/// Returns the heights of a file in the grid of a virtual raster of a size. `from` is the place of the file's pixels, `to` that of
-/// the raster's.
+/// Returns the heights of a file in the grid of a virtual raster of a size. `from` is the placement of the file's pixels,
+/// `to` that of the raster's.
 pub(super) fn warped(
     file: Opened,
     size: [usize; 2],
