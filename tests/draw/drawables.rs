@@ -87,8 +87,17 @@ impl Square {
         Drawable::new(custom_geometry(self.clone()), material)
     }
 
+    /// Takes the calls so far.
     fn heard(&self) -> Vec<String> {
         std::mem::take(&mut self.said.lock().unwrap())
+    }
+
+    /// Takes the calls so far with one `prepare` in a row: the shared rig prepares drawables for the kinds of targets of
+    /// earlier tests too.
+    fn heard_shared(&self) -> Vec<String> {
+        let mut heard = self.heard();
+        heard.dedup_by(|a, b| a == b && a == "prepare");
+        heard
     }
 }
 
@@ -223,12 +232,12 @@ fn custom_drawables_are_drawn_like_others() {
     assert_eq!(picture, draw(rig, scene(usual(GREEN))), "hidden and hiding like a mesh");
     assert!([RED, GREEN, BLUE].iter().all(|c| count(&picture, *c) > 200));
     // It is compiled for the context's target before its first frame.
-    assert_eq!(square.heard(), ["compile", "prepare", "draw 1"]);
+    assert_eq!(square.heard_shared(), ["compile", "prepare", "draw 1"]);
     assert_eq!(square.alive.load(Relaxed), 0, "released");
 
     // Outside of the frustum it is not called.
     draw(rig, vec![at(9.0, 0.0, 0.0, vec![square.drawable(GREEN)])]);
-    assert_eq!(square.heard(), ["compile", "prepare"]);
+    assert_eq!(square.heard_shared(), ["compile", "prepare"]);
     assert!(rig.renderer.take_errors().is_empty());
 }
 
@@ -303,7 +312,7 @@ fn drawable_receives_its_transform_and_state() {
         )),
     ]));
     rig.draw(&scene, &unit_camera(SIDE), &plain());
-    let mut heard = square.heard();
+    let mut heard = square.heard_shared();
     heard.retain(|s| s.contains(" at "));
     heard.sort();
     assert_eq!(
@@ -325,7 +334,7 @@ fn drawable_receives_its_transform_and_state() {
     scene.add_root(page);
     let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
     assert_eq!(count(&picture, GREEN), 2 * 32 * 32 - 16 * 16);
-    let heard = square.heard();
+    let heard = square.heard_shared();
     assert!(heard[2].starts_with("-1 at [\"48/32\", \"32/16\"] in "), "{heard:?}");
     assert_eq!(heard.len(), 3);
     rig.ctx.release(&compiled.slots);
@@ -429,7 +438,7 @@ fn drawable_casts_no_shadow_is_blended_late_and_does_not_fade() {
     rig.draw(&scene, &unit_camera(SIDE), &sunny);
     assert_eq!(rig.stage.bins.len(), 2);
     assert!(!rig.stage.shadows.cascades.is_empty());
-    assert_eq!(square.heard(), ["compile", "prepare", "draw 1"]);
+    assert_eq!(square.heard_shared(), ["compile", "prepare", "draw 1"]);
     assert!(count(&rig.read_back(), GREEN) > 900);
     rig.release(scene);
 

@@ -1,7 +1,9 @@
 //! [`TextObject`]: a text of osgText as plain values. Readers of all encodings fill it; [`build`](super::build) makes a mesh of
 //! its letters.
 
-use glam::{DQuat, DVec2, DVec3};
+#[cfg(feature = "text")]
+use glam::DVec2;
+use glam::{DQuat, DVec3};
 
 use super::input::Names;
 
@@ -121,6 +123,7 @@ impl Default for Backdrop {
     }
 }
 
+#[cfg(feature = "text")]
 impl Backdrop {
     /// Returns the directions in which copies of the letters are drawn: -1, 0 or 1 to the right and upwards.
     fn directions(&self) -> &'static [[i8; 2]] {
@@ -176,6 +179,7 @@ impl Default for TextObject {
 
 impl TextObject {
     /// Returns true if a bit of the mode of drawing is set.
+    #[cfg(feature = "text")]
     pub fn draws(&self, bit: u32) -> bool {
         self.draw_mode & bit != 0
     }

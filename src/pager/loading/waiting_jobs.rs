@@ -303,22 +303,18 @@ impl<J: Request> WaitingJobs<J> {
     /// Takes the job that is next in turn among those that may be taken. `may_take` decides for a lane's servers and for
     /// prefetches or other jobs. Requests from before the frame `aged_before` are old.
     pub fn take(&mut self, source: Source, aged_before: u32, may_take: impl Fn(&[String], bool) -> bool) -> Option<J> {
-        loop {
-            let ticket = self.first(source, aged_before, &may_take)?;
-            #[cfg(feature = "http")]
-            if source == Source::Servers && self.move_to_servers(ticket) {
-                continue;
+        #[cfg(feature = "http")]
+        while source == Source::Servers && self.move_to_servers(self.first(source, aged_before, &may_take)?) {}
+        let ticket = self.first(source, aged_before, &may_take)?;
+        let waiting = self.jobs.get(&ticket)?;
+        if !waiting.urgency.is_prefetch() {
+            let taken = waiting.job.scene();
+            for (scene, turn) in &mut self.turns {
+                turn.passed_over = if *scene == taken { 0 } else { turn.passed_over.saturating_add(1) };
             }
-            let waiting = self.jobs.get(&ticket)?;
-            if !waiting.urgency.is_prefetch() {
-                let taken = waiting.job.scene();
-                for (scene, turn) in &mut self.turns {
-                    turn.passed_over = if *scene == taken { 0 } else { turn.passed_over.saturating_add(1) };
-                }
-                self.slots = (self.slots + 1) % AGED_SHARE;
-            }
-            return self.remove(ticket);
+            self.slots = (self.slots + 1) % AGED_SHARE;
         }
+        self.remove(ticket)
     }
 
     /// Returns true if [`Self::take`] would take a job.
