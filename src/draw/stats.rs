@@ -41,6 +41,9 @@ pub struct DrawStats {
     pub pipelines_created: u32,
     /// The number of pipelines that the pipeline thread has created and that are in use since the draw before.
     pub pipelines_created_by_thread: u32,
+    /// The number of bind groups created for the uniforms and textures of states. One is created for each new combination of
+    /// textures and samplers, and all again when the buffer of uniforms grows.
+    pub state_groups_created: u32,
     /// How often the draw left something out whose pipeline the pipeline thread has not created yet.
     pub pipelines_awaited: u32,
     /// The number of pipelines that the pipeline thread has not created yet.

@@ -7,6 +7,7 @@ use std::time::Duration;
 use kit::frames::pixel;
 use kit::rig::{Rig, plain, rig_with, traits, unit_camera};
 use kit::shapes::quad;
+use terrane::cull::CullVisitor;
 use terrane::gpu::{CompileBudget, CompileOperation, ContextTraits};
 use terrane::scene::{Node, Page, Scene};
 use terrane::state::{
@@ -209,4 +210,29 @@ fn levels_are_computed_by_the_adapter() {
     assert!(pixel(&picture, 32, 32)[0].abs_diff(188) <= 2, "half of red without levels");
     rig.release(scene);
     assert!(rig.renderer.take_errors().is_empty());
+}
+
+/// Regression: every bind group was created again when a texture was removed.
+#[test]
+fn removed_texture_takes_its_own_bind_groups_only() {
+    let Some(mut rig) = rig_of(false) else { return };
+    let textures = [[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 255, 255]]
+        .map(|color| TextureObject::image("one colour", [1, 1], color.to_vec()));
+    let mut scenes = textures.each_ref().map(|texture| Some(rig.scene(shows(texture))));
+    let created = |rig: &mut Rig, scene: &Scene| rig.draw(scene, &unit_camera(SIDE), &plain()).state_groups_created;
+    for scene in scenes.iter().flatten() {
+        assert_eq!([(); 2].map(|()| created(&mut rig, scene)), [1, 0]);
+    }
+    // The first texture is dropped with its scene; the second keeps its bind group, the third too.
+    let [first, ..] = textures;
+    let serial = Arc::downgrade(&first);
+    drop(first);
+    rig.release(scenes[0].take().unwrap());
+    rig.visitor = CullVisitor::new();
+    for scene in scenes.iter().flatten().chain(scenes.iter().flatten()) {
+        assert_eq!(created(&mut rig, scene), 0);
+    }
+    assert_eq!(serial.strong_count(), 0, "the texture was removed");
+    assert_eq!(pixel(&rig.read_back(), 32, 32), [0, 0, 255]);
+    scenes.into_iter().flatten().for_each(|scene| rig.release(scene));
 }

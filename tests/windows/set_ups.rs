@@ -4,6 +4,7 @@
 use std::cell::{Cell, RefCell};
 use std::process::Command;
 use std::rc::Rc;
+use std::sync::OnceLock;
 
 use glam::DVec2;
 use kit::display::Display;
@@ -15,6 +16,7 @@ use terrane::viewer::{
     Arrangement, MouseCursor, Viewer, ViewerConfig, ViewerError, WindowCommand, WindowOptions, run_window,
 };
 use x11rb::connection::Connection as _;
+use x11rb::protocol::xfixes::ConnectionExt as _;
 use x11rb::protocol::xproto::ConnectionExt as _;
 
 const SCREEN_PX: [u32; 2] = [640, 480];
@@ -60,12 +62,24 @@ const STEPS: &[Step] = &[
         |viewer| viewer.contexts().count() == 1 && viewer.view().size_px() == [200, 100],
     ),
     (
-        |viewer| {
-            viewer.view_mut().set_cursor(MouseCursor::Crosshair);
-            viewer.view_mut().warp_pointer(DVec2::new(50.0, 20.0));
-        },
+        |viewer| viewer.view_mut().warp_pointer(DVec2::new(50.0, 20.0)),
         // The display has no window manager, so the window is where it was asked for.
         |_| pointer() == [80, 60],
+    ),
+    (|viewer| viewer.view_mut().set_cursor(MouseCursor::None), |_| !is_visible(&cursor_pixels())),
+    (
+        |viewer| viewer.view_mut().set_cursor(MouseCursor::Crosshair),
+        |_| {
+            let pixels = cursor_pixels();
+            is_visible(&pixels).then(|| CROSSHAIR.set(pixels).ok()).is_some()
+        },
+    ),
+    (
+        |viewer| viewer.view_mut().set_cursor(MouseCursor::Arrow),
+        |_| {
+            let pixels = cursor_pixels();
+            is_visible(&pixels) && CROSSHAIR.get() != Some(&pixels)
+        },
     ),
     // A wall of two windows: the one with the master camera is on the right.
     (
@@ -100,6 +114,20 @@ const STEPS: &[Step] = &[
         |_| false,
     ),
 ];
+
+/// The pixels of the crosshair, once it was shown.
+static CROSSHAIR: OnceLock<Vec<u32>> = OnceLock::new();
+
+/// Returns the pixels of the pointer's shape, ARGB.
+fn cursor_pixels() -> Vec<u32> {
+    let (x, _) = x11rb::connect(None).unwrap();
+    x.xfixes_query_version(5, 0).unwrap().reply().unwrap();
+    x.xfixes_get_cursor_image().unwrap().reply().unwrap().cursor_image
+}
+
+fn is_visible(pixels: &[u32]) -> bool {
+    pixels.iter().any(|argb| argb >> 24 > 0)
+}
 
 /// Returns the position of the pointer on the display.
 fn pointer() -> [i16; 2] {

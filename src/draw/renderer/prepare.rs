@@ -188,8 +188,12 @@ impl Renderer {
     pub(super) fn upload(&mut self, ctx: &GraphicsContext) {
         let (resources, passes) = (&mut self.resources, &self.passes);
         match resources.state_groups.finish(ctx, &resources.pipelines) {
-            Ok(true) => resources.frame_groups.invalidate(),
-            Ok(false) => {}
+            Ok(finished) => {
+                if finished.is_new_buffer {
+                    resources.frame_groups.invalidate();
+                }
+                resources.stats.state_groups_created = finished.groups_created;
+            }
             Err(error) => {
                 resources.errors.report_once(error);
                 return self.discard_frame();

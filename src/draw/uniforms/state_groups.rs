@@ -65,6 +65,14 @@ pub(in crate::draw) struct StateGroups {
     pending: Vec<(u32, Arc<ResolvedState>)>,
 }
 
+/// The result of [`StateGroups::finish`].
+pub(in crate::draw) struct Finished {
+    /// True if the buffer of uniforms was replaced.
+    pub(in crate::draw) is_new_buffer: bool,
+    /// The number of bind groups that were created.
+    pub(in crate::draw) groups_created: u32,
+}
+
 /// The size of the first uniform buffer in bytes.
 const MIN_BYTES: u64 = 64 << 10;
 
@@ -241,14 +249,14 @@ impl StateGroups {
         group
     }
 
-    /// Uploads the uniforms and creates missing groups. Returns true if the buffer was replaced, and an error if there is no
-    /// memory for it, so that nothing can be drawn.
-    pub(in crate::draw) fn finish(&mut self, ctx: &GraphicsContext, pipelines: &Pipelines) -> Result<bool, String> {
+    /// Uploads the uniforms and creates missing groups. Returns an error if there is no memory for the buffer, so that nothing
+    /// can be drawn.
+    pub(in crate::draw) fn finish(&mut self, ctx: &GraphicsContext, pipelines: &Pipelines) -> Result<Finished, String> {
         // The size of a write must be a multiple of 4 bytes.
         let needed = self.bytes.len().next_multiple_of(4);
         self.bytes.resize(needed, 0);
-        let grows = self.buffer.as_ref().is_none_or(|buffer| buffer.size() < needed as u64);
-        if grows {
+        let is_new_buffer = self.buffer.as_ref().is_none_or(|buffer| buffer.size() < needed as u64);
+        if is_new_buffer {
             let size = (needed as u64).next_power_of_two().max(MIN_BYTES);
             self.buffer = Some(ctx.memory().allocate("uniforms", size, |device| buffer(device, size))?);
             self.groups.iter_mut().for_each(|group| group.bind_group = None);
@@ -256,17 +264,19 @@ impl StateGroups {
         if let Some(buffer) = &self.buffer {
             ctx.queue().write_buffer(buffer, 0, &self.bytes);
         }
+        let mut groups_created = 0;
         let pending = std::mem::take(&mut self.pending);
         for (group, state) in &pending {
             self.groups[*group as usize].is_pending = false;
             if self.groups[*group as usize].bind_group.is_none() {
                 let created = self.create(ctx, pipelines, &self.groups[*group as usize].key, state);
+                groups_created += u32::from(created.is_some());
                 self.groups[*group as usize].bind_group = created;
             }
         }
         self.pending = pending;
         self.pending.clear();
-        Ok(grows)
+        Ok(Finished { is_new_buffer, groups_created })
     }
 
     fn create(

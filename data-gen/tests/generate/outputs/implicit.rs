@@ -16,7 +16,7 @@ use crate::files::{PLACE, SIDE, each_tile, files_below, from_dem, heights, tiff_
 fn drawn(set: &Path, eye: Geodetic) -> (Vec<(String, OrientedBox)>, usize) {
     let mut run = Run::new(set.to_str().unwrap(), PagerConfig::default());
     run.is_globe = true;
-    run.max_sse_px = 0.5;
+    run.max_sse_px = 1.0;
     run.settle(WGS84.ecef(&eye));
     assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
     let mut tiles = Vec::new();

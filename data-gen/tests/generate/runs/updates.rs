@@ -88,12 +88,14 @@ fn changed_source_makes_only_the_blocks_that_it_touches_again() {
     // The first file wins where files overlap.
     let other = at("d.tif", [7.205, 46.195], 5);
     check(&set(&[&other, &south_west, &north_east, &middle]));
-    // Other options keep nothing, and the result is right.
+    // Other options keep nothing, and the result is right; the number of levels does not matter.
+    let coarse = |dem: &[&PathBuf]| GenArgs { levels: Some(4), out: folder.path().join("coarse"), ..set(dem) };
+    run(&coarse(&[&south_west, &north_east, &middle])).unwrap();
     let stepped = TileArgs { height_step: Some(0.5), ..TileArgs::default() };
-    let options = GenArgs { tiles: stepped.clone(), ..all.clone() };
+    let options = GenArgs { tiles: stepped.clone(), ..coarse(&[&south_west, &north_east, &middle]) };
     assert!(check(&options).contains("options"), "other options");
     let wider = at("e.tif", [7.6, 46.4], 6);
-    let note = check(&GenArgs { tiles: stepped, ..set(&[&south_west, &north_east, &wider]) });
+    let note = check(&GenArgs { tiles: stepped, ..coarse(&[&south_west, &north_east, &wider]) });
     assert!(note.contains("bounds") && note.contains("--aligned"), "{note}");
 }
 
