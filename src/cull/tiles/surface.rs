@@ -86,6 +86,25 @@ mod tests {
         }
     }
 
+    /// Regression: tiles of which mountains would rise just below the picture, and just behind the horizon, were loaded.
+    #[test]
+    fn tiles_between_the_edge_of_the_picture_and_the_horizon_are_culled() {
+        let eye = position(8f64.to_radians(), 46f64.to_radians(), 6.0e6);
+        let eye_from_ecef = DAffine3::from_mat4(look_to_mat4(eye, -eye.normalize(), DVec3::Z));
+        let clip = perspective_infinite_reverse(0.628, 16.0 / 9.0, 1.0);
+        let planes = EyePlanes::new(&clip, CullingMode::default()).in_frame(&eye_from_ecef, eye);
+        let horizon = Horizon::new(&WGS84, &DAffine3::IDENTITY, eye).unwrap();
+        let culls = |west: f64, south: f64| {
+            let [west, south] = [west, south].map(f64::to_radians);
+            let size = std::f64::consts::FRAC_PI_4;
+            let (east, north, ellipsoid) = (west + size, south + size, WGS84);
+            let region = Region { west, south, east, north, min_height_m: 0.0, max_height_m: 9000.0, ellipsoid };
+            is_out_of_sight(&region, eye, (&planes, 0b1111), &horizon)
+        };
+        assert!(culls(-45.0, -45.0) && culls(45.0, -45.0));
+        assert!(!culls(90.0, 0.0), "its corner is in the picture");
+    }
+
     /// Regression: tiles beyond the corners of a picture were loaded, since the corners of their boxes are in sight.
     #[test]
     fn tiles_are_culled_whose_boxes_alone_are_in_sight() {
