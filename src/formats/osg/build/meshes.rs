@@ -294,24 +294,29 @@ impl Builder<'_> {
 
     /// Makes meshes whose primitive sets share all vertices.
     fn joined_meshes(&mut self, geometry: &GeometryObject, arrays: &Arrays<'_>) -> Result<Vec<Mesh>> {
-        let mut lists: [Vec<u32>; 3] = Default::default();
+        let mut lists: [Vec<Arc<[u32]>>; 3] = Default::default();
         for set in &geometry.primitives {
             for indices in self.runs(set, arrays.count)? {
                 let (topology, indices) = self.assembled(set, indices)?;
-                if let Some(at) = TOPOLOGIES.iter().position(|known| *known == topology) {
-                    lists[at].extend_from_slice(&indices);
+                let at = TOPOLOGIES.iter().position(|known| *known == topology);
+                if let Some(at) = at.filter(|_| !indices.is_empty()) {
+                    lists[at].push(indices);
                 }
             }
         }
         let is_single = lists.iter().filter(|list| !list.is_empty()).count() == 1;
         let mut meshes = Vec::new();
-        for (topology, mut list) in TOPOLOGIES.into_iter().zip(lists).filter(|(_, list)| !list.is_empty()) {
+        for (topology, sets) in TOPOLOGIES.into_iter().zip(lists).filter(|(_, sets)| !sets.is_empty()) {
             let corner = |vertex: usize| Corner { vertex, set: 0, primitive: 0 };
             meshes.push(if is_single {
+                // Most geometries have one set, whose list is not copied.
+                let list = <[_; 1]>::try_from(sets).map_or_else(|sets| sets.concat().into(), |[list]| list);
                 self.mesh(geometry, arrays, &(0..arrays.count).map(corner), list, topology)?
             } else {
+                let mut list = sets.concat();
                 let used = compacted(&mut list, arrays.count);
-                self.mesh(geometry, arrays, &used.iter().map(|vertex| corner(*vertex as usize)), list, topology)?
+                let corners = used.iter().map(|vertex| corner(*vertex as usize));
+                self.mesh(geometry, arrays, &corners, list.into(), topology)?
             });
         }
         Ok(meshes)
@@ -342,7 +347,7 @@ impl Builder<'_> {
         }
         let mut meshes = Vec::new();
         for (topology, (corners, indices)) in TOPOLOGIES.into_iter().zip(parts) {
-            meshes.push(self.mesh(geometry, arrays, &corners.iter().copied(), indices, topology)?);
+            meshes.push(self.mesh(geometry, arrays, &corners.iter().copied(), indices.into(), topology)?);
         }
         Ok(meshes)
     }
@@ -353,15 +358,15 @@ impl Builder<'_> {
         geometry: &GeometryObject,
         arrays: &Arrays<'_>,
         corners: &(impl Iterator<Item = Corner> + Clone),
-        indices: Vec<u32>,
+        indices: Arc<[u32]>,
         topology: Topology,
     ) -> Result<Mesh> {
         let attributes = self.attributes(geometry, corners, arrays)?;
-        Ok(Mesh { attributes, ..Mesh::new(arrays.vertices(corners), indices, topology) })
+        Ok(Mesh { attributes, indices, ..Mesh::new(arrays.vertices(corners), Vec::new(), topology) })
     }
 
     /// Returns the vertices of a primitive set: one list, or one for each length. Fails if one is outside of the arrays.
-    fn runs(&mut self, set: &PrimitiveObject, vertices: usize) -> Result<Vec<Vec<u32>>> {
+    fn runs(&mut self, set: &PrimitiveObject, vertices: usize) -> Result<Vec<Arc<[u32]>>> {
         if set.instances > 1 {
             self.note("OpenSceneGraph: instances of a primitive set, which is drawn once");
         }
@@ -395,7 +400,7 @@ impl Builder<'_> {
             }
             Indices::Elements(values) => {
                 self.count_indices(values.len())?;
-                let indices: Vec<u32> = match values {
+                let indices: Arc<[u32]> = match values {
                     Values::Whole(Number::U8 | Number::U16 | Number::U32, values) => {
                         values.iter().map(|index| *index as u32).collect()
                     }
@@ -410,7 +415,7 @@ impl Builder<'_> {
     }
 
     /// Converts the vertices of a primitive set to a list of triangles, lines or points.
-    fn assembled(&mut self, set: &PrimitiveObject, indices: Vec<u32>) -> Result<(Topology, Arc<[u32]>)> {
+    fn assembled(&mut self, set: &PrimitiveObject, indices: Arc<[u32]>) -> Result<(Topology, Arc<[u32]>)> {
         use PrimitiveMode::{
             LineLoop, LineStrip, Lines, Points, Polygon, QuadStrip, Quads, TriangleFan, TriangleStrip, Triangles,
         };
@@ -421,7 +426,7 @@ impl Builder<'_> {
             return Ok((Topology::Points, Arc::default()));
         };
         self.count_indices(mode.assembled(indices.len()))?;
-        Ok(mode.assemble(indices.into()))
+        Ok(mode.assemble(indices))
     }
 
     /// Returns the second and third texture coordinates, and the further ones that the options ask for.

@@ -24,6 +24,8 @@ use crate::state::{
 const GL_CLAMP_TO_BORDER: u32 = 0x812d;
 /// OpenGL's types and formats of pixels.
 const GL_UNSIGNED_BYTE: u32 = 0x1401;
+const GL_RGB: u32 = 0x1907;
+const GL_RGBA: u32 = 0x1908;
 const GL_COMPRESSED_RGB_S3TC_DXT1: u32 = 0x83f0;
 const GL_COMPRESSED_RGBA_S3TC_DXT1: u32 = 0x83f1;
 const GL_COMPRESSED_RGBA_S3TC_DXT3: u32 = 0x83f2;
@@ -414,8 +416,8 @@ fn slice_of(uri: &str, raw: &RawImage, slice: usize, limits: &Limits) -> Result<
     const ONE: usize = 4;
     const ZERO: usize = 5;
     let (channels, order) = match raw.pixel_format {
-        0x1907 => (3, [0, 1, 2, ONE]),
-        0x1908 => (4, [0, 1, 2, 3]),
+        GL_RGB => (3, [0, 1, 2, ONE]),
+        GL_RGBA => (4, [0, 1, 2, 3]),
         0x80e0 => (3, [2, 1, 0, ONE]),
         0x80e1 => (4, [2, 1, 0, 3]),
         0x1909 => (1, [0, 0, 0, ONE]),
@@ -436,18 +438,27 @@ fn slice_of(uri: &str, raw: &RawImage, slice: usize, limits: &Limits) -> Result<
     if bytes.len() < needed {
         return Err(bad(format!("{} bytes of {needed}", bytes.len())));
     }
-    let mut texels = Vec::with_capacity(width as usize * height as usize * 4);
+    let mut texels: Vec<[u8; 4]> = Vec::with_capacity(width as usize * height as usize);
     for y in 0..height as usize {
         let pixels = &bytes[y * row..y * row + width as usize * pixel_bytes];
-        for pixel in pixels.chunks_exact(pixel_bytes) {
-            texels.extend(order.map(|from| match from {
-                ONE => 255,
-                ZERO => 0,
-                from => channel.level(&pixel[from * channel.size_bytes()..]),
-            }));
+        match (channel, raw.pixel_format) {
+            (Channel::U8, GL_RGB) => texels.extend(pixels.as_chunks().0.iter().map(|[r, g, b]| [*r, *g, *b, 255])),
+            (Channel::U8, GL_RGBA) => texels.extend(pixels.as_chunks::<4>().0),
+            // A loop over the channels, since `map` of arrays is a call for each.
+            _ => texels.extend(pixels.chunks_exact(pixel_bytes).map(|pixel| {
+                let mut texel = [255; 4];
+                for (to, from) in texel.iter_mut().zip(order) {
+                    match from {
+                        ONE => {}
+                        ZERO => *to = 0,
+                        from => *to = channel.level(&pixel[from * channel.size_bytes()..]),
+                    }
+                }
+                texel
+            })),
         }
     }
-    Ok((width, height, texels))
+    Ok((width, height, texels.into_flattened()))
 }
 
 #[cfg(test)]
