@@ -250,6 +250,11 @@ impl Looking {
         self.picture = self.viewer.take_pictures().pop().unwrap().1;
     }
 
+    /// Returns the latest picture.
+    pub fn picture(&self) -> &RgbaImage {
+        &self.picture
+    }
+
     /// Returns the colour of the pixel at a place in degrees.
     pub fn color(&self, place: [f64; 2]) -> [u8; 3] {
         let world_from_eye = self.viewer.view().camera.world_from_eye;

@@ -5,6 +5,7 @@ use std::path::Path;
 use serde_json::json;
 use terrane::formats::writers::write_height_exr;
 use terrane::formats::{GeoRectangle, OverlaySource, RasterOverlay, Tiling};
+use terrane::viewer::handlers::CreditsHandler;
 
 use crate::earth::{
     COPYRIGHTS, Look, Looking, Patch, error_for, expected, mercator, mercator_pixel_m, numbered_server, png, requests,
@@ -153,6 +154,17 @@ fn credits_are_those_of_what_is_on_screen() {
     credits.sort();
     assert_eq!(credits, ["(c) Overlay", COPYRIGHTS[1], COPYRIGHTS[0]].map(Into::into));
     assert_eq!(looking.overlays.credits(), ["(c) Overlay".into()]);
+    // Windows show them at the lower edge.
+    let plain = looking.picture().clone();
+    looking.viewer.view_mut().add_event_handler(CreditsHandler::default());
+    (0..3).for_each(|_| looking.draw());
+    let changed = |rows: std::ops::Range<u32>| {
+        let places = rows.flat_map(|y| (0..plain.width()).map(move |x| (x, y)));
+        places.filter(|(x, y)| plain.get_pixel(*x, *y) != looking.picture().get_pixel(*x, *y)).count()
+    };
+    let half = plain.height() / 2;
+    assert_eq!(changed(0..half), 0);
+    assert!(changed(half..plain.height()) > 100);
     // The patch is behind the camera; the set remains.
     let pose = &mut looking.viewer.view_mut().camera.world_from_eye;
     *pose *= glam::DAffine3::from_rotation_x(std::f64::consts::PI);
