@@ -3,7 +3,7 @@
 
 use kit::fuzz::Parser;
 use kit::ive_files::Ive;
-use kit::ive_files::scenes::{paged, terrain_tile as ive_tile, textured, unusual_nodes};
+use kit::ive_files::scenes::{paged, terrain_tile as ive_tile, textured, unusual_nodes, volumes};
 use kit::osg_files::{Osgb, VERSION, geode, group, osgt, terrain_tile, triangle};
 use terrane::fetch::{DECODER_PANICKED, Limits};
 use terrane::formats::{Content, Fetched, ReadOptions, decode, dependencies};
@@ -111,6 +111,7 @@ fn ive() -> Parser {
         unusual_nodes(45).bytes,
         unusual_nodes(5).bytes,
         ive_tile(45).bytes,
+        volumes(45).bytes,
         ive_tile(22).bytes,
     ];
     Parser::new("ive", seeds, |bytes| {

@@ -1,7 +1,7 @@
 //! Files in .ive, in all versions and both byte orders, compared with the same scenes in text.
 
 use glam::DVec4;
-use kit::ive_files::scenes::{paged, terrain_tile, textured, unusual_nodes};
+use kit::ive_files::scenes::{paged, terrain_tile, textured, unusual_nodes, volumes};
 use kit::ive_files::{GEODE, Ive, VERSION};
 use kit::osg_files::{VERSION as TEXT_VERSION, geode, group, osgt, triangle};
 use terrane::fetch::Limits;
@@ -334,6 +334,32 @@ fn effects_with_images_and_textures_are_read_over() {
     assert_eq!(ignored.iter().map(|(kind, _)| kind).collect::<Vec<_>>(), expected);
 }
 
+/// Regression: one tile of a volume was the error of the whole file.
+#[test]
+fn volumes_are_read_over_and_counted() {
+    let file = volumes(VERSION);
+    let (node, ignored) = read(&file.bytes);
+    assert_eq!(drawables(&node).len(), 2);
+    assert_eq!(ignored.iter().collect::<Vec<_>>(), [("OpenSceneGraph class osgVolume::VolumeTile", 3)]);
+    for length in (12..file.bytes.len()).step_by(5) {
+        assert!(read_with(&file.bytes[..length], Vec::new(), &options()).is_err(), "{length}");
+    }
+}
+
+/// Regression: OSG's writer leaves a number alone for a drawable that it does not know, which was the error of the whole file.
+#[test]
+fn drawables_that_osg_does_not_write_are_left_out() {
+    let mut file = Ive::new(VERSION);
+    file.u32(0).group("", 2, |file| {
+        file.u32s(&[1, GEODE]).node("").u32(2).u32(0).triangle(1);
+        file.triangle_geode(2);
+    });
+    let (node, ignored) = read(&file.bytes);
+    assert_eq!(drawables(&node).len(), 2);
+    let counted: Vec<_> = ignored.iter().collect();
+    assert_eq!(counted, [("OpenSceneGraph: a drawable that OSG's writer of .ive leaves out, such as particles", 1)]);
+}
+
 #[test]
 fn light_points_and_moving_parts_are_placed() {
     let mut file = Ive::new(VERSION);
@@ -479,12 +505,6 @@ fn broken_files_are_one_clear_error() {
     });
     for (bytes, expected) in [
         (Ive::new(46).bytes, "version 46 of .ive, of which 45 is the newest is not supported"),
-        (
-            node(&|file| {
-                file.u32(0x30_0001);
-            }),
-            ".ive: a node of class osgVolume::VolumeTile is not supported",
-        ),
         (
             node(&|file| {
                 file.u32(0xabcd);

@@ -8,6 +8,9 @@ use crate::formats::osg::input::{Input as _, Number};
 use crate::formats::osg::objects::{DrawableClass, DrawableObject, Object, StateObject};
 use crate::formats::osg::text::{FADING, GRADIENTS, LAYOUTS, SOLIDS, TextObject, text_of_numbers};
 
+/// The classes that OSG writes. Of others its writer reports an error and writes the number of the drawable alone.
+const DRAWABLES: [u32; 5] = [ids::GEOMETRY, ids::SHAPE_DRAWABLE, ids::TEXT, ids::FADE_TEXT, ids::TEXT_3D];
+
 /// The members that all drawables have.
 struct DrawableMembers {
     name: String,
@@ -29,14 +32,18 @@ impl Reader<'_> {
     }
 
     fn new_drawable(&mut self) -> Result<Object> {
-        let class = self.unsigned()?;
+        let class = self.class()?;
+        if !DRAWABLES.contains(&class) {
+            self.notes.add("OpenSceneGraph: a drawable that OSG's writer of .ive leaves out, such as particles");
+            return Ok(Object::Nothing);
+        }
+        self.unsigned()?;
         match class {
             ids::GEOMETRY => {
                 let drawable = self.drawable_members()?;
                 Ok(drawable.with(DrawableClass::Geometry(self.geometry()?)))
             }
             ids::SHAPE_DRAWABLE => self.shape_drawable(),
-            ids::TEXT => self.text_members(class),
             ids::FADE_TEXT => {
                 self.expect(ids::TEXT)?;
                 let text = self.text_members(class)?;
@@ -44,8 +51,7 @@ impl Reader<'_> {
                 self.float()?;
                 Ok(text)
             }
-            ids::TEXT_3D => self.text_members(class),
-            _ => Err(Self::unknown("a drawable", class)),
+            _ => self.text_members(class),
         }
     }
 

@@ -1,6 +1,7 @@
-//! Effects of osgFX, and light points of osgSim.
+//! Effects of osgFX, light points of osgSim, and tiles of osgVolume with their layers, locators and properties, which are read over.
+//! Decode threads.
 
-use super::{Reader, ids};
+use super::{Kind, Reader, ids};
 use crate::formats::osg::classes::light_points;
 use crate::formats::osg::error::Result;
 use crate::formats::osg::objects::{NodeClass, NodeMembers, Object};
@@ -93,5 +94,99 @@ impl Reader<'_> {
         self.skip(pulses * PULSE_BYTES)?;
         // The shift of its phase, and the base time of its group.
         self.doubles::<2>().map(drop)
+    }
+
+    /// Reads a VolumeTile as a group of its children.
+    pub(super) fn volume_tile(&mut self) -> Result<Object> {
+        self.expect(ids::VOLUME_TILE)?;
+        let (node, children) = self.group_members()?;
+        self.volume_locator()?;
+        self.volume_layer()?;
+        if self.optional(Self::unsigned)? == Some(ids::VOLUME_RAY_TRACED_TECHNIQUE) {
+            // OSG's writer adds that there is no other technique, which OSG's reader does not expect.
+            self.boolean()?;
+        }
+        self.note_class(ids::VOLUME_TILE);
+        Ok(node.with(NodeClass::Group, children))
+    }
+
+    fn volume_locator(&mut self) -> Result<()> {
+        self.read_over(Kind::VolumeLocator, |reader| {
+            reader.expect(ids::VOLUME_LOCATOR)?;
+            reader.object_members()?;
+            reader.matrix().map(drop)
+        })
+    }
+
+    fn volume_layer(&mut self) -> Result<()> {
+        self.read_over(Kind::VolumeLayer, |reader| {
+            let class = reader.unsigned()?;
+            reader.expect(ids::VOLUME_LAYER)?;
+            reader.object_members()?;
+            reader.volume_locator()?;
+            reader.volume_property()?;
+            match class {
+                ids::VOLUME_IMAGE_LAYER => {
+                    let mode = reader.byte()?;
+                    reader.image_of_mode(mode).map(drop)
+                }
+                ids::VOLUME_COMPOSITE_LAYER => {
+                    for _ in 0..reader.count(2)? {
+                        match reader.boolean()? {
+                            true => reader.volume_layer()?,
+                            false => drop(reader.string()?),
+                        }
+                    }
+                    Ok(())
+                }
+                class => Err(Self::unknown("a layer", class)),
+            }
+        })
+    }
+
+    fn volume_property(&mut self) -> Result<()> {
+        self.read_over(Kind::VolumeProperty, |reader| match reader.unsigned()? {
+            ids::VOLUME_COMPOSITE_PROPERTY => reader.members_of_composite_property(),
+            ids::VOLUME_SWITCH_PROPERTY => {
+                reader.expect(ids::VOLUME_COMPOSITE_PROPERTY)?;
+                reader.members_of_composite_property()?;
+                // The active property.
+                reader.unsigned().map(drop)
+            }
+            ids::VOLUME_TRANSFER_FUNCTION_PROPERTY => {
+                const VALUE_AND_COLOR_BYTES: usize = 5 * 4;
+                reader.object_members()?;
+                if reader.unsigned()? == 1 {
+                    // The number of cells of its image.
+                    reader.unsigned()?;
+                    let colors = reader.count(VALUE_AND_COLOR_BYTES)?;
+                    reader.skip(colors * VALUE_AND_COLOR_BYTES)?;
+                }
+                Ok(())
+            }
+            ids::VOLUME_MAXIMUM_INTENSITY_PROPERTY | ids::VOLUME_LIGHTING_PROPERTY => Ok(()),
+            ids::VOLUME_ISO_SURFACE_PROPERTY
+            | ids::VOLUME_ALPHA_FUNC_PROPERTY
+            | ids::VOLUME_SAMPLE_DENSITY_PROPERTY
+            | ids::VOLUME_TRANSPARENCY_PROPERTY => {
+                reader.expect(ids::VOLUME_SCALAR_PROPERTY)?;
+                reader.object_members()?;
+                reader.float().map(drop)
+            }
+            class => Err(Self::unknown("a property", class)),
+        })
+    }
+
+    fn members_of_composite_property(&mut self) -> Result<()> {
+        self.object_members()?;
+        for _ in 0..self.count(4)? {
+            self.volume_property()?;
+        }
+        Ok(())
+    }
+
+    /// Reads over an object of a kind, if there is one that was not read before.
+    fn read_over(&mut self, kind: Kind, read: impl FnOnce(&mut Self) -> Result<()>) -> Result<()> {
+        self.shared_or_none(kind, |reader| read(reader).map(|()| Object::Nothing)).map(drop)
     }
 }

@@ -47,6 +47,9 @@ enum Kind {
     Shape,
     Layer,
     Locator,
+    VolumeLayer,
+    VolumeLocator,
+    VolumeProperty,
 }
 
 /// Reads the objects of one file. One thread.
@@ -152,7 +155,7 @@ impl Reader<'_> {
         self.notes.add(format!("OpenSceneGraph class {} (its children are drawn)", ids::name(class)));
     }
 
-    /// Returns the error of a class that is not read here. OSG's own reader does not know it either, but for VolumeTile.
+    /// Returns the error of a class that is not read here. OSG's own reader does not know it either.
     fn unknown(what: &str, class: u32) -> OsgError {
         OsgError::Unsupported(format!(".ive: {what} of class {}", ids::name(class)))
     }

@@ -52,8 +52,7 @@ impl Reader<'_> {
             ids::LIGHT_POINT_NODE => self.light_points(),
             ids::LIGHT_SOURCE => self.light_source(),
             ids::CLIP_NODE => self.clip_node(),
-            // Its layers and properties are read by no class here.
-            ids::VOLUME_TILE => Err(Self::unknown("a node", ids::VOLUME_TILE)),
+            ids::VOLUME_TILE => self.volume_tile(),
             class => self.like_group(class),
         }
     }

@@ -198,3 +198,33 @@ pub fn terrain_tile(version: u32) -> Ive {
     file.u32s(&[0, 30]).raw(&[1]).u32(0x20_0009);
     file
 }
+
+/// Three tiles of a volume with every kind of layer and property, and a triangle.
+pub fn volumes(version: u32) -> Ive {
+    const NONE: u32 = u32::MAX;
+    let mut file = Ive::new(version);
+    file.u32(0).group("", 4, |file| {
+        // A locator that two layers share, and every kind of property.
+        file.u32s(&[1, 0x30_0001]).group("", 1, |file| {
+            file.triangle_geode(11);
+        });
+        file.u32s(&[0, 0x30_0002]).object("").f64s(&[0.0; 16]);
+        file.u32s(&[0, 0x30_0005, 0x30_0003]).object("").u32(0);
+        file.u32s(&[0, 0x30_0015, 0x30_0011]).object("").u32(6);
+        file.u32s(&[1, 0x30_0016]).object("").u32s(&[1, 256, 2]).f32s(&[0.0; 10]);
+        file.u32s(&[2, 0x30_0017, 3, 0x30_0018]);
+        for (id, class) in [(4, 0x30_0013), (5, 0x30_001a)] {
+            file.u32s(&[id, class, 0x30_0012]).object("").f32s(&[0.5]);
+        }
+        file.u32(1).u32(0);
+        // An image in the file, and a layer of another file.
+        file.u32(2).raw(&[1]).u32s(&[1, 0x30_0004, 0x30_0003]).object("").u32s(&[NONE, NONE]);
+        file.raw(&[1, 1]).pixels([2, 2], &[9; 12]).raw(&[0]).text("b.ive");
+        // OSG writes two markers of a technique here.
+        file.raw(&[1]).u32(0x30_0009).raw(&[0]);
+        file.u32s(&[2, 0x30_0001]).group("", 0, |_| ()).u32s(&[NONE, 1]).raw(&[1]).u32(0x30_001c);
+        file.u32s(&[3, 0x30_0001]).group("", 0, |_| ()).u32s(&[NONE, NONE]).raw(&[0]);
+        file.triangle_geode(4);
+    });
+    file
+}
