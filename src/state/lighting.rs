@@ -140,4 +140,6 @@ pub struct Fog {
     pub mode: FogMode,
     /// Linear colour.
     pub color: [f32; 3],
+    /// True to mix colours as they are displayed (sRGB), as OpenGL does; false to mix light.
+    pub is_displayed: bool,
 }

@@ -98,7 +98,7 @@ fn lights_shine_below_their_node_alone() {
 fn every_shader_is_lit() {
     let Some(mut rig) = rig("every_shader_is_lit") else { return };
     let surface = Material { metallic_roughness: Some(MetallicRoughness::default()), ..Material::default() };
-    let fog = Fog { mode: FogMode::Exp { density_per_m: 0.0 }, color: [0.0; 3] };
+    let fog = Fog { mode: FogMode::Exp { density_per_m: 0.0 }, color: [0.0; 3], is_displayed: false };
     let fixed = Arc::new(StateSet::default().with(Attribute::Fog(fog)));
     let blended = Arc::new(StateSet::default().with_mode(Mode::Blend, StateValue::ON));
     let half = from_front([0.5; 3]);

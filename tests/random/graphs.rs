@@ -348,13 +348,14 @@ impl Maker {
                 two_sided: random.percent(50),
                 color_control: random.one_of(&[ColorControl::SingleColor, ColorControl::SeparateSpecularColor]),
             }),
-            Attribute::Fog(Fog {
-                mode: random.one_of(&[
+            Attribute::Fog({
+                let mode = random.one_of(&[
                     FogMode::Linear { start_m: 5.0, end_m: 60.0 },
                     FogMode::Exp { density_per_m: 0.03 },
                     FogMode::Exp2 { density_per_m: 0.03 },
-                ]),
-                color: random.color(),
+                ]);
+                let color = random.color();
+                Fog { mode, color, is_displayed: color[0] > 0.5 }
             }),
             Attribute::TexGen(0, texgen),
             Attribute::Texture(0, texture),

@@ -76,7 +76,7 @@ fn cameras_without_colors_discard_like_others() {
     };
     let test = Attribute::AlphaFunc(AlphaFunc { function: CompareFunction::Greater, reference: 0.5 });
     let tested = StateSet::default().with(test).with_mode(Mode::AlphaTest, StateValue::ON);
-    let fog = Attribute::Fog(Fog { mode: FogMode::Exp { density_per_m: 1e-6 }, color: [0.0; 3] });
+    let fog = Attribute::Fog(Fog { mode: FogMode::Exp { density_per_m: 1e-6 }, color: [0.0; 3], is_displayed: false });
     let fogged = StateSet::default().with(fog).with_mode(Mode::Fog, StateValue::ON);
     let plain = || Arc::new(StateSet::default());
     let cases = [

@@ -22,7 +22,7 @@ fn fog_increases_with_distance() {
     // The square is 10 m in front of the eye.
     let mut with = |mode: FogMode, on: StateValue| {
         let mut set = StateSet::default().with_mode(Mode::Lighting, StateValue::OFF);
-        set.set_attribute_and_modes(Attribute::Fog(Fog { mode, color: [0.0, 0.0, 1.0] }), on);
+        set.set_attribute_and_modes(Attribute::Fog(Fog { mode, color: [0.0, 0.0, 1.0], is_displayed: false }), on);
         middle(rig, vec![node(square([1.0, 0.0, 0.0, 1.0]), set)])
     };
     let on = StateValue::ON;
@@ -35,6 +35,20 @@ fn fog_increases_with_distance() {
     let e = (-4.0f32).exp();
     assert_near(with(FogMode::Exp2 { density_per_m: 0.2 }, on), [e, 0.0, 1.0 - e], "exp2");
     assert_eq!(with(linear(1.0, 9.0), StateValue::OFF), RED, "off");
+}
+
+/// OpenGL mixes the values of the frame buffer.
+#[test]
+fn fog_mixes_colours_as_they_are_displayed() {
+    let Some(mut rig) = rig("fog_mixes_colours_as_they_are_displayed") else { return };
+    let rig = &mut *rig;
+    let mode = FogMode::Linear { start_m: 0.0, end_m: 40.0 };
+    let mut set = StateSet::default().with_mode(Mode::Lighting, StateValue::OFF);
+    let fog = Fog { mode, color: [0.0, 0.0, 1.0], is_displayed: true };
+    set.set_attribute_and_modes(Attribute::Fog(fog), StateValue::ON);
+    // A quarter of the way, 10 m in front of the eye.
+    let [red, green, blue] = middle(rig, vec![node(square([1.0, 0.0, 0.0, 1.0]), set)]);
+    assert!(red.abs_diff(191) <= 1 && green == 0 && blue.abs_diff(64) <= 1, "{red} {green} {blue}");
 }
 
 #[test]
@@ -359,7 +373,8 @@ fn height_tiles_have_lights_and_fog() {
     assert!(differing.count() * 50 < ground(&sunny), "lit by the pixel instead of the vertex");
     let dark = with(StateSet::default().with_mode(Mode::Light(0), StateValue::OFF));
     assert!(mean(&dark, 1) < 1.0);
-    let fog = Fog { mode: FogMode::Linear { start_m: 5_000.0, end_m: 30_000.0 }, color: [0.0, 0.0, 1.0] };
+    let mode = FogMode::Linear { start_m: 5_000.0, end_m: 30_000.0 };
+    let fog = Fog { mode, color: [0.0, 0.0, 1.0], is_displayed: false };
     let foggy = with(StateSet::default().with(Attribute::Fog(fog)));
     assert!(mean(&foggy, 2) > mean(&sunny, 2) + 20.0);
 }

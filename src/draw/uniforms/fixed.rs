@@ -48,7 +48,8 @@ pub(in crate::draw) struct FixedUniform {
     pub(in crate::draw) back: Reflection,
     /// Linear colour; w is 0 without fog, 1 for the environment's haze, 2 for linear, 3 for exp and 4 for exp2.
     pub(in crate::draw) fog_color: [f32; 4],
-    /// The end in metres and 1 / (end - start) of linear fog; the density per metre of the others.
+    /// The end in metres and 1 / (end - start) of linear fog; the density per metre of the others. z is 1 if colours are
+    /// mixed as they are displayed.
     pub(in crate::draw) fog: [f32; 4],
     /// Linear ambient colour of the light model; w is the reference of the alpha test.
     pub(in crate::draw) model_ambient: [f32; 4],
@@ -140,15 +141,18 @@ impl FixedUniform {
         let (fog_color, fog) = match state.fog() {
             _ if !state.mode(Mode::Fog) => ([0.0; 4], [0.0; 4]),
             None => ([0.0, 0.0, 0.0, 1.0], [0.0; 4]),
-            Some(fog) => match fog.mode {
-                FogMode::Linear { start_m, end_m } => {
-                    let span = end_m - start_m;
-                    let scale = if span.abs() > 1e-6 { 1.0 / span } else { 1e6 };
-                    (rgb(fog.color, 2.0), [end_m, scale, 0.0, 0.0])
+            Some(fog) => {
+                let as_displayed = f32::from(u8::from(fog.is_displayed));
+                match fog.mode {
+                    FogMode::Linear { start_m, end_m } => {
+                        let span = end_m - start_m;
+                        let scale = if span.abs() > 1e-6 { 1.0 / span } else { 1e6 };
+                        (rgb(fog.color, 2.0), [end_m, scale, as_displayed, 0.0])
+                    }
+                    FogMode::Exp { density_per_m } => (rgb(fog.color, 3.0), [density_per_m, 0.0, as_displayed, 0.0]),
+                    FogMode::Exp2 { density_per_m } => (rgb(fog.color, 4.0), [density_per_m, 0.0, as_displayed, 0.0]),
                 }
-                FogMode::Exp { density_per_m } => (rgb(fog.color, 3.0), [density_per_m, 0.0, 0.0, 0.0]),
-                FogMode::Exp2 { density_per_m } => (rgb(fog.color, 4.0), [density_per_m, 0.0, 0.0, 0.0]),
-            },
+            }
         };
         let mut uniform = Self {
             front: Reflection::new(&front),

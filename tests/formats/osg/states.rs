@@ -66,7 +66,7 @@ fn fog_and_light_models_are_state() {
         osg::BlendEquation { UniqueID 7 EquationRGB RGBA_MAX EquationAlpha RGBA_MAX } Value OFF }";
     let (node, ignored) = with_state(&format!("ModeList 1 {{ GL_FOG ON }} {attributes}"));
     assert!(ignored.is_empty(), "{ignored:?}");
-    let fog = Fog { mode: FogMode::Exp { density_per_m: 0.5 }, color: [1.0, 0.0, 0.0] };
+    let fog = Fog { mode: FogMode::Exp { density_per_m: 0.5 }, color: [1.0, 0.0, 0.0], is_displayed: true };
     let model = LightModel {
         ambient: [1.0, 1.0, 0.0],
         two_sided: true,
@@ -82,6 +82,11 @@ fn fog_and_light_models_are_state() {
     ];
     let found: Vec<Attribute> = set(&node).attributes.iter().map(|(attribute, _)| attribute.clone()).collect();
     assert_eq!(found, expected);
+    // Text without a mode of the Fog is LINEAR, which OSG's writer leaves out.
+    let linear = attributes.replace("Mode EXP Density 0.5", "Start 2 End 6");
+    let (node, _) = with_state(&format!("ModeList 1 {{ GL_FOG ON }} {linear}"));
+    let fog = Fog { mode: FogMode::Linear { start_m: 2.0, end_m: 6.0 }, ..fog };
+    assert_eq!(self::set(&node).attributes[0].0, Attribute::Fog(fog));
     // OSG's fog needs its mode, while the haze of the environment stays on.
     for modes in ["", "ModeList 1 { GL_FOG OFF }"] {
         let (node, _) = with_state(&format!("{modes} {attributes}"));

@@ -13,7 +13,8 @@ struct Fixed {
     front: Reflection,
     back: Reflection,
     fog_color: vec4<f32>,      // w: 0 none, 1 the environment's haze, 2 linear, 3 exp, 4 exp2
-    fog: vec4<f32>,            // of linear fog, end and 1 / (end - start); otherwise the density per metre
+    fog: vec4<f32>,            // of linear fog, end and 1 / (end - start); otherwise the density per metre. z: 1 if colours
+                               // are mixed as they are displayed
     model_ambient: vec4<f32>,  // w: reference of the alpha test
     model: vec4<u32>,          // 1 for a local viewer; the lit side (below); 1 if highlights are added after textures
     flags: vec4<u32>,          // bits of lights, bits of clip planes, alpha test, 1 if a light replaces the sun
@@ -113,6 +114,20 @@ fn lit(s: Surface, base: vec3<f32>) -> Reflected {
     return Reflected(color, highlights);
 }
 
+// Returns a colour as it is displayed (sRGB) under an exposure, from 0 to 1.
+fn encoded(color: vec4<f32>, exposure: f32) -> vec4<f32> {
+    let c = clamp(color.rgb * exposure, vec3<f32>(0.0), vec3<f32>(1.0));
+    let high = 1.055 * pow(c, vec3<f32>(1.0 / 2.4)) - 0.055;
+    return vec4<f32>(select(high, 12.92 * c, c <= vec3<f32>(0.0031308)), color.a);
+}
+
+// The inverse of `encoded`.
+fn decoded(color: vec3<f32>, exposure: f32) -> vec3<f32> {
+    let c = clamp(color, vec3<f32>(0.0), vec3<f32>(1.0));
+    let high = pow((c + 0.055) / 1.055, vec3<f32>(2.4));
+    return select(high, c / 12.92, c <= vec3<f32>(0.04045)) / exposure;
+}
+
 // Returns a colour as seen through fog or haze, tone mapped if it is lit.
 fn fogged(s: Surface, color: vec3<f32>) -> vec3<f32> {
     let distance = -s.in_eye.z;
@@ -137,7 +152,15 @@ fn fogged(s: Surface, color: vec3<f32>) -> vec3<f32> {
     if s.is_lit {
         shown = tone_mapped(color);
     }
-    return mix(shown, displayed(fixed_state.fog_color.rgb), clamp(share, 0.0, 1.0));
+    let fog = displayed(fixed_state.fog_color.rgb);
+    share = clamp(share, 0.0, 1.0);
+    if fixed_state.fog.z == 0.0 {
+        return mix(shown, fog, share);
+    }
+    // A later pass may apply an exposure.
+    let exposure = select(1.0, -frame.shape.y, frame.shape.y < 0.0);
+    let mixed = mix(encoded(vec4<f32>(shown, 1.0), exposure), encoded(vec4<f32>(fog, 1.0), exposure), share);
+    return decoded(mixed.rgb, exposure);
 }
 
 fn passes_alpha_test(alpha: f32) -> bool {

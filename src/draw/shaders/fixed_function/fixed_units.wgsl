@@ -133,20 +133,6 @@ fn combined(code: u32, a: vec4<f32>, b: vec4<f32>, c: vec4<f32>) -> vec4<f32> {
 // Set in the code of colours that are combined as they are displayed.
 const AS_DISPLAYED: u32 = 0x80000000u;
 
-// Returns a colour as it is displayed (sRGB) under an exposure, from 0 to 1.
-fn encoded(color: vec4<f32>, exposure: f32) -> vec4<f32> {
-    let c = clamp(color.rgb * exposure, vec3<f32>(0.0), vec3<f32>(1.0));
-    let high = 1.055 * pow(c, vec3<f32>(1.0 / 2.4)) - 0.055;
-    return vec4<f32>(select(high, 12.92 * c, c <= vec3<f32>(0.0031308)), color.a);
-}
-
-// The inverse of `encoded`.
-fn decoded(color: vec3<f32>, exposure: f32) -> vec3<f32> {
-    let c = clamp(color, vec3<f32>(0.0), vec3<f32>(1.0));
-    let high = pow((c + 0.055) / 1.055, vec3<f32>(2.4));
-    return select(high, c / 12.92, c <= vec3<f32>(0.04045)) / exposure;
-}
-
 // Returns the factor from the light of a surface to its displayed colour.
 fn exposure_of(s: Surface) -> f32 {
     return select(1.0, abs(frame.shape.y), s.is_lit && frame.shape.y != 0.0);

@@ -41,12 +41,13 @@ impl Reader<'_> {
             }
             "Fog" => {
                 self.attribute_members()?;
+                // Text has no LINEAR, which is what OSG's writer takes for the default. Its reader takes EXP then.
                 let mode = self.named_member("Mode", FOG_MODES, 0x2601)?;
                 let start = self.float_member("Start", 0.0)?;
                 let end = self.float_member("End", 1.0)?;
                 let density = self.float_member("Density", 1.0)?;
                 let color = self.floats_member("Color", [0.0; 4])?;
-                self.fog_source()?;
+                self.skipped_constant("FogCoordinateSource")?;
                 if !self.input.is_at_end_of_block() {
                     self.boolean_member("UseRadialFog", false)?;
                 }
@@ -81,17 +82,6 @@ impl Reader<'_> {
             }
             _ => return Ok(None),
         }))
-    }
-
-    /// Reads over the source of a Fog's coordinates, one of OpenGL's constants. Its name in text may be any word.
-    fn fog_source(&mut self) -> Result<()> {
-        if self.member("FogCoordinateSource")? {
-            match self.input.is_text() {
-                true => drop(self.input.word()?),
-                false => drop(self.unsigned()?),
-            }
-        }
-        Ok(())
     }
 
     fn light(&mut self) -> Result<AttributeObject> {

@@ -126,6 +126,17 @@ impl Reader<'_> {
         if self.member(name)? { self.input.named(GL_NAMES) } else { Ok(default) }
     }
 
+    /// Reads over a member with one of OpenGL's constants, whose name in text may be any word.
+    pub(super) fn skipped_constant(&mut self, name: &str) -> Result<()> {
+        if self.member(name)? {
+            match self.input.is_text() {
+                true => drop(self.input.word()?),
+                false => drop(self.unsigned()?),
+            }
+        }
+        Ok(())
+    }
+
     /// Reads a member with a pointer to an object.
     pub(super) fn object_member(&mut self, name: &str) -> Result<Object> {
         if !self.member(name)? || !self.input.boolean()? {

@@ -123,7 +123,7 @@ pub(super) fn fog_of(fog: &FogObject) -> Option<Fog> {
         _ => FogMode::Linear { start_m, end_m },
     };
     let is_finite = [start_m, end_m, density_per_m].iter().chain(&color).all(|value| value.is_finite());
-    is_finite.then(|| Fog { mode, color: rgb(color) })
+    is_finite.then(|| Fog { mode, color: rgb(color), is_displayed: true })
 }
 
 pub(super) fn polygon_mode_of(mode: u32) -> PolygonMode {
