@@ -75,6 +75,10 @@ fn osg() -> Parser {
             Children 1 { osg::LightSource { UniqueID 114 Light TRUE { osg::Light { UniqueID 115 LightNum 1 Position 0 0 1 0 } } } }
             ClipPlaneList 1 { osg::ClipPlane { UniqueID 116 ClipPlane 1 0 0 1 } } }"
                 .to_owned(),
+            "osg::Camera { UniqueID 120 Children 1 { osg::Projection { UniqueID 121 Matrix { 0.02 0 0 0 0 0.02 0 0 0 0 -1 0 -1 -1 0 1 } } }
+            ReferenceFrame ABSOLUTE_RF ClearMask DEPTH ProjectionMatrix { 0.02 0 0 0 0 0.02 0 0 0 0 -1 0 -1 -1 0 1 }
+            RenderOrder POST_RENDER 0 DrawBuffer GL_BACK }"
+                .to_owned(),
             "osg::Sequence { UniqueID 95 Children 1 { osg::MatrixTransform { UniqueID 96 UpdateCallback TRUE {
             osg::AnimationPathCallback { UniqueID 97 AnimationPath TRUE { osg::AnimationPath { UniqueID 98 TimeControlPointMap 1 {
             Time 1 { Position 1 0 0 Rotation 0 0 0 1 Scale 1 1 1 } } LoopMode SWING } } TimeMultiplier 2 } } } }

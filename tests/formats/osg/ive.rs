@@ -283,7 +283,7 @@ fn classes_that_are_not_drawn_are_read_over_and_counted() {
     ]
     .map(children)
     .to_vec();
-    expected.push(("OpenSceneGraph class osg::Camera".to_owned(), 1));
+    expected.push(("OpenSceneGraph class osg::Camera (it draws to a texture or to a window)".to_owned(), 1));
     expected.push(("OpenSceneGraph: light 0 of a file (the environment's light takes its place)".to_owned(), 1));
     if !cfg!(feature = "text") {
         expected.push(("OpenSceneGraph class osgText::Text".to_owned(), 1));
@@ -441,7 +441,7 @@ fn attributes_that_are_not_drawn_are_read_over_and_counted() {
         (0x12e, floats(2), "class osg::FragmentProgram"),
         (0x12f, floats(1), "class osg::VertexProgram"),
         (0x12a, floats(1), "attribute ShadeModel"),
-        (0x12b, floats(7), "attribute Point"),
+        (0x12b, [5.0f32, 1.0, 1.0, 0.5, 0.0, 1.0, 9.0].map(f32::to_le_bytes).concat(), "attribute Point"),
         (0x12d, floats(1), "attribute LineWidth"),
         (0x1121, vec![0; 22], ""),
     ];

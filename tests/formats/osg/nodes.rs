@@ -3,12 +3,137 @@
 use glam::{DVec3, DVec4};
 use terrane::math::BoundingVolume;
 use terrane::scene::{
-    IntersectionVisitor, LineSegmentIntersector, Page, ProxyLoading, RangeMode, ReferenceFrame, Scene, UpdateInfo,
+    IntersectionVisitor, LineSegmentIntersector, Page, ProxyLoading, RangeMode, ReferenceFrame, RenderOrder, Scene,
+    UpdateInfo,
 };
 use terrane::state::{Light, Mode, StateValue};
 
 use super::*;
 use kit::osg_files::{Osgb, VERSION, geode, group, osgt, triangle};
+
+/// The members of a Camera that draws over the view in units of a hundredth of its sides.
+const OVER_THE_VIEW: &str = "ReferenceFrame ABSOLUTE_RF ClearMask DEPTH ClearColor 0 0 0 1
+    ProjectionMatrix { 0.02 0 0 0 \n 0 0.02 0 0 \n 0 0 -1 0 \n -1 -1 -0 1 } RenderOrder POST_RENDER 3 InheritanceMask CULL_MASK";
+
+/// A Camera with a geode of a triangle.
+fn camera(members: &str) -> String {
+    osgt(
+        VERSION,
+        &format!("osg::Camera {{ UniqueID 1 Children 1 {{ {} }} {members} }}", geode(2, "", &[triangle(3, "")])),
+    )
+}
+
+#[test]
+fn cameras_draw_over_the_view() {
+    let (node, ignored) = read(camera(OVER_THE_VIEW));
+    assert!(ignored.is_empty(), "{ignored:?}");
+    let NodeKind::Camera(made) = &node.kind else { panic!("{:?}", node.kind) };
+    assert_eq!((made.order, made.frame), (RenderOrder::PostRender(3), ReferenceFrame::Absolute));
+    assert_eq!((made.clear_color, made.clear_depth), (None, true));
+    let projection = made.projection.unwrap();
+    assert!(projection.project_point3(DVec3::new(75.0, 25.0, 0.0)).distance(DVec3::new(0.5, -0.5, 0.5)) < 1e-9);
+    assert_eq!(drawables(&node).len(), 1);
+
+    let (perspective, _) = read(camera(
+        "ReferenceFrame ABSOLUTE_RF ProjectionMatrix { 1 0 0 0 \n 0 1 0 0 \n 0 0 -1.5 -1 \n 0 0 -2.5 0 }
+        ViewMatrix { 1 0 0 0 \n 0 1 0 0 \n 0 0 1 0 \n 0 0 -7 1 } RenderOrder NESTED_RENDER 0",
+    ));
+    let NodeKind::Camera(made) = &perspective.kind else { panic!("{:?}", perspective.kind) };
+    assert_eq!((made.order, made.clear_color), (RenderOrder::Nested, Some([0.0; 4])));
+    assert_eq!(made.view.translation, DVec3::new(0.0, 0.0, -7.0));
+    // The near plane is 1 m in front of the eye.
+    assert!((made.projection.unwrap().project_point3(DVec3::new(0.0, 0.0, -1.0)).z - 1.0).abs() < 1e-9);
+}
+
+/// The members of a Camera in binary, in which nothing but their order tells them apart.
+#[test]
+fn cameras_in_binary_are_those_of_text() {
+    for version in [100, VERSION] {
+        let mut file = Osgb::new(version, true);
+        file.object("osg::Camera", 1, |file| {
+            file.node_members("").children(1, |file| {
+                file.triangle_geode(10);
+            });
+            // The frame, event focus, what is cleared and with which values; no colour mask, no viewport.
+            file.u32(1).raw(&[1]);
+            if version < 123 {
+                file.raw(&[1]);
+            }
+            file.u32(0x100).f32s(&[0.5; 4]).f32s(&[0.0; 4]).f64s(&[1.0]).u32(0).raw(&[0, 0]).u32(0).u32(1);
+            for matrix in [2.0, 1.0] {
+                let row = |at: usize| std::array::from_fn::<f64, 4, _>(|i| if i == at { matrix } else { 0.0 });
+                let rows = [row(0), row(1), row(2).map(|z| -z), [0.0, 0.0, 0.0, 1.0]].concat();
+                file.block(|file| {
+                    file.f64s(&rows);
+                });
+            }
+            // Behind the order are two buffers and the target.
+            file.raw(&[1]).u32(2).u32(7).u32(0).u32(0).u32(3).raw(&[0]).raw(&[9; 40]);
+        });
+        let (node, ignored) = read(&file.bytes);
+        assert!(ignored.is_empty(), "{version}: {ignored:?}");
+        let NodeKind::Camera(made) = &node.kind else { panic!("{:?}", node.kind) };
+        assert_eq!((made.order, made.frame), (RenderOrder::PostRender(7), ReferenceFrame::Absolute));
+        assert_eq!((made.clear_color, made.clear_depth), (None, true));
+        assert_eq!(made.projection.unwrap().x_axis.x, 2.0);
+        assert_eq!(drawables(&node).len(), 1);
+    }
+}
+
+#[test]
+fn cameras_that_draw_elsewhere_are_counted() {
+    let over = |from: &str, to: &str| camera(&OVER_THE_VIEW.replacen(from, to, 1));
+    for (file, reason) in [
+        (
+            over("InheritanceMask", "RenderTargetImplementation FRAME_BUFFER_OBJECT InheritanceMask"),
+            "it draws to a texture or to a window",
+        ),
+        (
+            over("InheritanceMask", "BufferAttachmentMap 1 { Attachment COLOR_BUFFER { Type 0 } } InheritanceMask"),
+            "it draws to a texture or to a window",
+        ),
+        (
+            over("ProjectionMatrix", "Viewport TRUE { osg::Viewport { UniqueID 9 X 0 } } ProjectionMatrix"),
+            "it draws to a part of the window",
+        ),
+        (over("POST_RENDER", "PRE_RENDER"), "it draws before the view, which covers it"),
+        (over("ReferenceFrame ABSOLUTE_RF", ""), "its projection is relative"),
+        (over("0 0 -1 0", "0 0 nan 0"), "its projection is unusual"),
+    ] {
+        let (node, ignored) = read(file);
+        assert_eq!(ignored.count(&format!("OpenSceneGraph class osg::Camera ({reason})")), 1, "{ignored:?}");
+        assert!(drawables(&node).is_empty(), "{reason}");
+    }
+}
+
+/// A picture of what a file draws over the view: a quad over its lower left quarter.
+#[test]
+fn overlays_of_files_are_seen_wherever_the_eye_is() {
+    let Some(mut rig) = kit::rig::rig("overlays_of_files_are_seen_wherever_the_eye_is") else { return };
+    let quad = "osg::Geometry { UniqueID 4 PrimitiveSetList 1 { osg::DrawArrays { UniqueID 5 Mode QUADS Count 4 } }
+        VertexArray TRUE { osg::Vec3Array { UniqueID 6 vector 4 { 0 0 -5 \n 50 0 -5 \n 50 50 -5 \n 0 50 -5 } } }
+        ColorArray TRUE { osg::Vec4Array { UniqueID 7 Binding BIND_OVERALL vector 1 { 0 1 0 1 } } } }";
+    let unlit = "StateSet TRUE { osg::StateSet { UniqueID 8 ModeList 1 { GL_LIGHTING OFF } } }";
+    let overlay =
+        camera(OVER_THE_VIEW).replace(&geode(2, "", &[triangle(3, "")]), &geode(2, unlit, &[quad.to_owned()]));
+    let older = "Projection {\n Matrix {\n 0.02 0 0 0\n 0 0.02 0 0\n 0 0 -1 0\n -1 -1 0 1\n }\n MatrixTransform {\n
+        referenceFrame ABSOLUTE\n Geode {\n StateSet {\n GL_LIGHTING OFF\n GL_DEPTH_TEST OFF\n }\n Geometry {\n PrimitiveSets 1 {\n DrawArrays QUADS 0 4\n
+        }\n VertexArray Vec3Array 4 {\n 0 0 0\n 50 0 0\n 50 50 0\n 0 50 0\n }\n ColorBinding OVERALL\n ColorArray Vec4Array 1 {\n
+        0 1 0 1\n }\n }\n }\n }\n}\n";
+    for file in [overlay, older.to_owned()] {
+        let (node, ignored) = read(file);
+        assert!(ignored.is_empty(), "{ignored:?}");
+        // Somewhere else in the scene.
+        let scene = rig.scene(Node::transform(glam::DAffine3::from_translation(DVec3::splat(1e5)), vec![node]));
+        let picture = rig.picture(&scene, &kit::rig::unit_camera(64), &kit::rig::plain());
+        rig.release(scene);
+        let errors = rig.renderer.take_errors();
+        assert!(errors.is_empty(), "{errors:?}");
+        let green = picture.pixels().filter(|pixel| pixel.0[..3] == [0, 255, 0]).count();
+        assert_eq!(green, 32 * 32);
+        assert_eq!(picture.get_pixel(3, 60).0[..3], [0, 255, 0]);
+    }
+}
 
 #[test]
 fn transforms_place_their_children() {

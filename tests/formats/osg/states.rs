@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use base64::Engine as _;
-use terrane::scene::{AlphaMode, OverlayMode, SecondUv, Texture};
+use terrane::scene::{AlphaMode, OverlayMode, SecondUv, Texture, Topology};
 use terrane::state::{
     Attribute, BinDetails, BlendEquation, BlendFactor, CompareFunction, CullFace, FilterMode, Fog, FogMode, LightModel,
     Mode, PolygonMode, SortMode, StateSet, StateValue, WrapMode,
@@ -93,6 +93,31 @@ fn fog_and_light_models_are_state() {
         let set = set(&node);
         assert_eq!((set.attributes.len(), set.modes.len()), (4, 0), "{modes}: {set:?}");
     }
+}
+
+#[test]
+fn points_have_the_size_of_their_state() {
+    let point = |members: &str| format!("AttributeList 1 {{ osg::Point {{ UniqueID 3 {members} }} Value OFF }}");
+    let points = triangle(10, "").replace("Mode TRIANGLES", "Mode POINTS");
+    let read_points = |state: &str| {
+        let state = format!("StateSet TRUE {{ osg::StateSet {{ UniqueID 2 {state} }} }}");
+        read(osgt(VERSION, &geode(1, &state, std::slice::from_ref(&points))))
+    };
+    let (node, ignored) = read_points(&point("Size 6 DistanceAttenuation 1 0 0 MaxSize 100"));
+    assert!(ignored.is_empty(), "{ignored:?}");
+    let squares = mesh(drawables(&node)[0]);
+    assert_eq!((squares.topology, squares.vertices.len(), squares.indices.len()), (Topology::Squares, 12, 18));
+    // Offsets of the corners in pixels.
+    assert_eq!((squares.vertices[0].uv, squares.vertices[3].uv), ([-3.0; 2], [3.0; 2]));
+    let plain = mesh(drawables(&read_points("").0)[0]).clone();
+    assert_eq!((plain.topology, plain.vertices.len()), (Topology::Points, 3));
+    for i in 0..3 {
+        assert_eq!(squares.vertices[4 * i].position, plain.vertices[i].position);
+    }
+    assert_eq!(mesh(drawables(&read_points(&point("Size 1")).0)[0]).topology, Topology::Points);
+    let (node, ignored) = read_points(&point("Size 6 DistanceAttenuation 1 0 0.5"));
+    assert_eq!(mesh(drawables(&node)[0]).topology, Topology::Points);
+    assert_eq!(ignored.count("OpenSceneGraph: attribute Point"), 1, "{ignored:?}");
 }
 
 #[test]

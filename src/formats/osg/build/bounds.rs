@@ -74,6 +74,7 @@ fn of_node(node: &NodeObject, known: &mut Spheres) -> BoundingSphere {
         | NodeClass::Sequence(_)
         | NodeClass::CoordinateSystem(_)
         | NodeClass::Light { .. }
+        | NodeClass::Projection(_)
         | NodeClass::Clip { .. } => children(),
         NodeClass::Terrain(settings, _) => {
             let above = std::mem::replace(&mut known.terrain, *settings);
@@ -93,6 +94,8 @@ fn of_node(node: &NodeObject, known: &mut Spheres) -> BoundingSphere {
             // Children that move with the eye have no position.
             if *is_absolute || sphere.is_empty() { BoundingSphere::EMPTY } else { sphere.transformed(&map) }
         }
+        // What is drawn over the view has no position.
+        NodeClass::Camera(_) => BoundingSphere::EMPTY,
         NodeClass::AutoTransform(AutoObject { is_absolute: true, .. }) => BoundingSphere::EMPTY,
         NodeClass::AutoTransform(auto) => {
             let sphere = children();

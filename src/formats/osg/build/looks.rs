@@ -28,6 +28,8 @@ pub(super) struct Look {
     pub units: Units,
     pub is_lit: bool,
     pub culls_faces: bool,
+    /// The side of points in pixels.
+    pub point_size_px: f32,
     is_blended: bool,
     /// Comparison and reference.
     alpha_test: Option<(u32, f32)>,
@@ -47,6 +49,7 @@ impl Look {
         ];
         let mut material = Inherited::new(None);
         let mut alpha_func = Inherited::new((GL_ALWAYS, 1.0));
+        let mut point_size = Inherited::new(1.0);
         let mut has_fixed_state = false;
         for state in states {
             has_fixed_state |= has_fixed_function_state(state);
@@ -57,6 +60,7 @@ impl Look {
             }
             for (attribute, flags) in &state.attributes {
                 match &**attribute {
+                    AttributeObject::PointSize(size_px) => point_size.apply(*size_px, *flags),
                     AttributeObject::Material(value) => material.apply(Some(*value), *flags),
                     AttributeObject::AlphaFunc { function, reference } => {
                         alpha_func.apply((*function, *reference), *flags);
@@ -68,7 +72,9 @@ impl Look {
         let [is_lit, culls_faces, is_blended, tests_alpha] = modes.map(|(_, mode)| mode.value);
         let test = Some(alpha_func.value).filter(|(function, _)| tests_alpha && *function != GL_ALWAYS);
         let (units, alpha_test, material) = (Units::default(), test, material.value);
-        let mut look = Self { units, is_lit, culls_faces, is_blended, alpha_test, material, has_fixed_state };
+        let point_size_px = point_size.value;
+        let mut look =
+            Self { units, is_lit, culls_faces, point_size_px, is_blended, alpha_test, material, has_fixed_state };
         look.units = Units::resolve(states, look.is_fixed());
         look.is_lit &= !look.units.replaces_light;
         look

@@ -6,6 +6,7 @@
 //! Decode threads.
 
 mod bounds;
+mod cameras;
 mod coordinates;
 mod environments;
 mod facing;
@@ -245,6 +246,8 @@ impl<'a> Builder<'a> {
             NodeClass::Proxy(proxy) => return self.proxy(object, proxy),
             NodeClass::Light { light, is_absolute } => return self.light_source(object, light.as_ref(), *is_absolute),
             NodeClass::Clip { planes, is_absolute } => return self.clip_node(object, planes, *is_absolute),
+            NodeClass::Camera(camera) => return self.camera(object, camera),
+            NodeClass::Projection(matrix) => return self.projection(object, **matrix),
             NodeClass::Billboard(billboard) => return self.billboard(object, billboard),
             NodeClass::AutoTransform(auto) => return self.auto_transform(object, auto),
             NodeClass::Terrain(settings, _) => return self.terrain(object, settings),
@@ -291,9 +294,13 @@ impl<'a> Builder<'a> {
         }
         let look = Look::resolve(&self.states);
         let Shown { texture, overlay, fixed, uv_sets } = self.shown(object, &look)?;
-        let Some(Meshes { origin, meshes }) = self.meshes_of(object, uv_sets, look.has_vertex_colors())? else {
+        let Some(Meshes { origin, mut meshes }) = self.meshes_of(object, uv_sets, look.has_vertex_colors())? else {
             return Ok((DVec3::ZERO, Vec::new()));
         };
+        if look.point_size_px > 1.0 {
+            let has_texture = texture.is_some() || !fixed.is_empty();
+            self.enlarge_points(&mut meshes, look.point_size_px, has_texture)?;
+        }
         let state_set = self.state_of_drawable(&fixed, origin, look.alpha_test_beside_material());
         let options = self.source.options;
         let surface = overlay.as_ref().map(|(texture, overlay_mode)| MetallicRoughness {

@@ -93,12 +93,12 @@ impl Reader<'_> {
             }
             "Point" => {
                 self.attribute_members()?;
-                self.float_member("Size", 0.0)?;
+                let size_px = self.float_member("Size", 0.0)?;
                 self.float_member("FadeThresholdSize", 0.0)?;
-                self.floats_member("DistanceAttenuation", [0.0; 3])?;
+                let attenuation = self.floats_member("DistanceAttenuation", [0.0; 3])?;
                 self.float_member("MinSize", 0.0)?;
                 self.float_member("MaxSize", 0.0)?;
-                AttributeObject::Other("Point")
+                AttributeObject::of_point(size_px, attenuation)
             }
             _ => match self.lighting_of(class)? {
                 Some(attribute) => attribute,

@@ -8,7 +8,8 @@ use super::Reader;
 use crate::formats::osg::error::Result;
 use crate::formats::osg::input::{Names, Number};
 use crate::formats::osg::objects::{
-    AutoObject, AutoTurn, BillboardObject, BillboardTurn, NodeClass, NodeMembers, Object, StateObject,
+    AutoObject, AutoTurn, BillboardObject, BillboardTurn, CameraObject, CameraOrder, NodeClass, NodeMembers, Object,
+    StateObject,
 };
 
 impl Reader<'_> {
@@ -34,6 +35,12 @@ impl Reader<'_> {
             "AutoTransform" => self.auto_transform()?,
             "LightSource" => self.light_source()?,
             "ClipNode" => self.clip_node()?,
+            "Camera" if self.input.can_skip() => self.camera()?,
+            "Projection" => {
+                let (node, children) = self.group_members()?;
+                let matrix = if self.member("Matrix")? { self.matrix()? } else { DMat4::IDENTITY };
+                node.with(NodeClass::Projection(Box::new(matrix)), children)
+            }
             "CoordinateSystemNode" => {
                 let (node, children, system) = self.coordinate_system_members()?;
                 node.with(NodeClass::CoordinateSystem(system), children)
@@ -96,6 +103,79 @@ impl Reader<'_> {
         let screen_scales = keeps_size.then_some(scales);
         let auto = AutoObject { is_absolute, position, rotation, scale, pivot, turn, screen_scales };
         Ok(node.with(NodeClass::AutoTransform(auto), children))
+    }
+
+    /// Reads the members of a Camera up to its targets. The sizes of blocks lead to what follows.
+    fn camera(&mut self) -> Result<Object> {
+        const ORDERS: Names = &[("PRE_RENDER", 0), ("NESTED_RENDER", 1), ("POST_RENDER", 2)];
+        const MULTIPLICATIONS: Names = &[("PRE_MULTIPLY", 0), ("POST_MULTIPLY", 1)];
+        const POLICIES: Names = &[("FIXED", 0), ("HORIZONTAL", 1), ("VERTICAL", 2)];
+        const TARGETS: Names = &[
+            ("FRAME_BUFFER_OBJECT", 0),
+            ("PIXEL_BUFFER_RTT", 1),
+            ("PIXEL_BUFFER", 2),
+            ("FRAME_BUFFER", CameraObject::FRAME_BUFFER),
+            ("SEPARATE_WINDOW", 4),
+        ];
+        let (node, children) = self.group_members()?;
+        let is_absolute = self.reference_frame()?;
+        self.boolean_member("AllowEventFocus", true)?;
+        let clear_mask = self.clear_mask()?;
+        let clear_color = self.floats_member("ClearColor", [0.0; 4])?;
+        self.floats_member("ClearAccum", [0.0; 4])?;
+        self.double_member("ClearDepth", 1.0)?;
+        self.integer_member("ClearStencil", 0)?;
+        self.object_member("ColorMask")?;
+        let has_viewport = self.member("Viewport")? && self.input.boolean()?;
+        if has_viewport {
+            self.in_braces(Self::object)?;
+        }
+        self.named_member("TransformOrder", MULTIPLICATIONS, 0)?;
+        self.named_member("ProjectionResizePolicy", POLICIES, 1)?;
+        let projection = if self.member("ProjectionMatrix")? { self.matrix()? } else { DMat4::IDENTITY };
+        let view = if self.member("ViewMatrix")? { self.matrix()? } else { DMat4::IDENTITY };
+        let (mut order, mut number) = (CameraOrder::After, 0);
+        if self.marked_member("RenderOrder")? {
+            order = CameraOrder::of_number(self.input.named(ORDERS)?);
+            number = self.input.number(Number::I32)? as i32;
+        }
+        for buffer in ["DrawBuffer", "ReadBuffer"] {
+            self.skipped_constant(buffer)?;
+        }
+        let target = self.named_member("RenderTargetImplementation", TARGETS, CameraObject::FRAME_BUFFER)?;
+        let has_target = target != CameraObject::FRAME_BUFFER || self.marked_member("BufferAttachmentMap")?;
+        let camera = CameraObject {
+            is_absolute,
+            projection,
+            view,
+            order,
+            number,
+            clear_mask,
+            clear_color,
+            has_viewport,
+            has_target,
+        };
+        Ok(node.with(NodeClass::Camera(Box::new(camera)), children))
+    }
+
+    /// Reads what a Camera clears, as bits.
+    fn clear_mask(&mut self) -> Result<u32> {
+        const BOTH: u32 = CameraObject::CLEAR_COLOR | CameraObject::CLEAR_DEPTH;
+        // Versions below 123 mark it in binary.
+        let follows = if self.version < 123 { self.marked_member("ClearMask")? } else { self.member("ClearMask")? };
+        if !follows {
+            return Ok(BOTH);
+        }
+        if !self.input.is_text() {
+            return self.unsigned();
+        }
+        let word = self.input.word()?;
+        let bit = |name: &str| match name {
+            "COLOR" => CameraObject::CLEAR_COLOR,
+            "DEPTH" => CameraObject::CLEAR_DEPTH,
+            _ => 0,
+        };
+        Ok(word.split('|').map(bit).fold(0, |mask, bit| mask | bit))
     }
 
     /// Reads the members of the classes Object and Node.

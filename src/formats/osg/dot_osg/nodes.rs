@@ -14,12 +14,12 @@ use crate::formats::osg::error::{OsgError, Result};
 use crate::formats::osg::input::value_of;
 use crate::formats::osg::motion::{AnimationObject, Looping, PathObject, PathPoint, SequenceObject};
 use crate::formats::osg::objects::{
-    AttributeObject, AutoObject, AutoTurn, BillboardObject, BillboardTurn, CenterMode, LightObject, LodObject,
-    NodeClass, NodeObject, Object, PagedObject, ProxyMode, ProxyObject,
+    AttributeObject, AutoObject, AutoTurn, BillboardObject, BillboardTurn, CameraObject, CameraOrder, CenterMode,
+    LightObject, LodObject, NodeClass, NodeObject, Object, PagedObject, ProxyMode, ProxyObject,
 };
 
 /// The classes of nodes that are read.
-const CLASSES: [&str; 22] = [
+const CLASSES: [&str; 25] = [
     "Node",
     "Group",
     "Geode",
@@ -38,13 +38,16 @@ const CLASSES: [&str; 22] = [
     "CoordinateSystemNode",
     "Terrain",
     "TerrainTile",
+    "Camera",
+    "CameraNode",
+    "Projection",
     "osgSim::MultiSwitch",
     "osgSim::DOFTransform",
     "osgSim::LightPointNode",
     "osgSim::Impostor",
 ];
 /// Fields of nodes with a block that is no object.
-const LISTS: [&str; 11] = [
+const LISTS: [&str; 15] = [
     "Matrix",
     "PutMatrix",
     "Ranges",
@@ -56,6 +59,10 @@ const LISTS: [&str; 11] = [
     "lightPoint",
     "ElevationLayer",
     "ColorLayer",
+    "ProjectionMatrix",
+    "ViewMatrix",
+    "bufferComponent",
+    "Viewport",
 ];
 
 /// Returns true for a class of nodes.
@@ -113,6 +120,8 @@ impl Reader {
             _ if is_bone => transform(block, self.matrix(block), None),
             "PositionAttitudeTransform" => transform(block, Some(placement(block)), self.animation_of_node(block)?),
             "AutoTransform" => NodeClass::AutoTransform(auto(block)),
+            "Camera" | "CameraNode" => NodeClass::Camera(Box::new(camera(block))),
+            "Projection" => NodeClass::Projection(Box::new(matrix_of(block, "Matrix"))),
             "Switch" => NodeClass::Switch(switch(block, children.len())),
             "Sequence" => NodeClass::Sequence(sequence(block, children.len())),
             "LOD" | "osgSim::Impostor" => NodeClass::Lod(lod(block)),
@@ -148,9 +157,7 @@ impl Reader {
 
     /// Returns the map of a matrix; `None`, noted, if it is not affine.
     fn matrix(&self, block: &Block<'_>) -> Option<DAffine3> {
-        // OSG multiplies rows, so that its rows are the columns of ours.
-        let numbers: [f64; 16] = block.list("Matrix").try_into().unwrap_or(DMat4::IDENTITY.to_cols_array());
-        let matrix = DMat4::from_cols_array(&numbers);
+        let matrix = matrix_of(block, "Matrix");
         let is_affine = matrix.is_finite() && matrix.row(3) == DVec4::W;
         if !is_affine {
             self.notes.add("OpenSceneGraph: a matrix that is not affine");
@@ -232,6 +239,32 @@ fn sequence(block: &Block<'_>, children: usize) -> SequenceObject {
     sequence.plays = block.word("mode") == "START";
     sequence.clears = !matches!(block.word("clearOnStop"), "" | "0" | "FALSE");
     sequence
+}
+
+/// Returns the matrix of a field; the identity without one. OSG multiplies rows, so that its rows are the columns of ours.
+fn matrix_of(block: &Block<'_>, name: &str) -> DMat4 {
+    let numbers = block.list(name).try_into().unwrap_or(DMat4::IDENTITY.to_cols_array());
+    DMat4::from_cols_array(&numbers)
+}
+
+fn camera(block: &Block<'_>) -> CameraObject {
+    const BOTH: u32 = CameraObject::CLEAR_COLOR | CameraObject::CLEAR_DEPTH;
+    CameraObject {
+        is_absolute: is_absolute(block),
+        projection: matrix_of(block, "ProjectionMatrix"),
+        view: matrix_of(block, "ViewMatrix"),
+        order: match block.word("renderOrder") {
+            "PRE_RENDER" => CameraOrder::Before,
+            "NESTED_RENDER" => CameraOrder::Nested,
+            _ => CameraOrder::After,
+        },
+        number: 0,
+        clear_mask: block.value("clearMask").map_or(BOTH, |mask| mask as u32),
+        clear_color: block.values("clearColor").map_or([0.0; 4], |color| color.map(|part| part as f32)),
+        has_viewport: block.field("Viewport").is_some(),
+        has_target: !matches!(block.word("renderTargetImplementation"), "" | "FRAME_BUFFER")
+            || block.field("bufferComponent").is_some(),
+    }
 }
 
 fn is_absolute(block: &Block<'_>) -> bool {

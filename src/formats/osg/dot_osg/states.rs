@@ -28,7 +28,7 @@ const NAMED_MODES: Names = &[
     ("alpha_test", 0xbc0),
 ];
 /// Attributes without effect here.
-const OTHERS: [&str; 3] = ["ShadeModel", "LineWidth", "Point"];
+const OTHERS: [&str; 2] = ["ShadeModel", "LineWidth"];
 
 impl Reader {
     pub(super) fn state_set(&mut self, block: &Block<'_>) -> Result<StateObject> {
@@ -164,6 +164,11 @@ impl Reader {
             "PolygonOffset" => {
                 let number = |name| block.value(name).unwrap_or(0.0) as f32;
                 AttributeObject::PolygonOffset { factor: number("factor"), units: number("units") }
+            }
+            "Point" => {
+                let attenuation = block.values("distance_attenuation").unwrap_or([1.0, 0.0, 0.0]);
+                let size_px = block.value("size").unwrap_or(1.0) as f32;
+                AttributeObject::of_point(size_px, attenuation.map(|part| part as f32))
             }
             "ColorMask" => {
                 let names = ["redMask", "greenMask", "blueMask", "alphaMask"];

@@ -106,8 +106,9 @@ impl Reader<'_> {
                 AttributeObject::Other("LineWidth")
             }
             ids::POINT => {
-                self.floats::<7>()?;
-                AttributeObject::Other("Point")
+                // The fade threshold is after the size, and the limits of the size are at the end.
+                let [size_px, _, a, b, c, _, _] = self.floats()?;
+                AttributeObject::of_point(size_px, [a, b, c])
             }
             _ => return self.lighting(class),
         }))

@@ -7,7 +7,8 @@ use crate::formats::osg::classes::{Freedom, clip_planes};
 use crate::formats::osg::error::Result;
 use crate::formats::osg::motion::SequenceObject;
 use crate::formats::osg::objects::{
-    AttributeObject, AutoObject, AutoTurn, BillboardObject, BillboardTurn, NodeClass, NodeMembers, Object, ellipsoid,
+    AttributeObject, AutoObject, AutoTurn, BillboardObject, BillboardTurn, CameraObject, CameraOrder, NodeClass,
+    NodeMembers, Object, ellipsoid,
 };
 use crate::math::Ellipsoid;
 
@@ -274,22 +275,20 @@ impl Reader<'_> {
         Ok(node.with(NodeClass::transform(map, is_absolute, None), children))
     }
 
-    /// Reads over a Camera with its children: what it draws is an image or an overlay of its own.
     fn camera(&mut self) -> Result<Object> {
         self.expect(ids::CAMERA)?;
-        self.transform_members()?;
-        // The colour and the mask that it clears with.
-        self.floats::<4>()?;
-        self.unsigned()?;
-        // The colour mask and the viewport.
+        let (node, children, is_absolute) = self.transform_members()?;
+        let (clear_color, clear_mask) = (self.floats()?, self.unsigned()?);
+        // The colour mask.
         self.optional(Self::attribute_of_camera)?;
-        self.optional(Self::attribute_of_camera)?;
+        let has_viewport = self.optional(Self::attribute_of_camera)?.is_some();
         // The order of the transform.
         self.integer()?;
-        self.doubles::<32>()?;
-        // Render order, two implementations of the target, draw and read buffer.
-        self.integers::<5>()?;
-        for _ in 0..self.count(4)? {
+        let (projection, view) = (self.matrix()?, self.matrix()?);
+        // The last three are the target if the first one fails, the draw and the read buffer.
+        let [order, target, ..] = self.integers::<5>()?;
+        let targets = self.count(4)?;
+        for _ in 0..targets {
             // Buffer and internal format.
             self.integers::<2>()?;
             self.optional(Self::raw_image)?;
@@ -298,11 +297,21 @@ impl Reader<'_> {
             self.integers::<2>()?;
             self.boolean()?;
         }
-        self.note_class(ids::CAMERA);
-        Ok(Object::Nothing)
+        let camera = CameraObject {
+            is_absolute,
+            projection,
+            view,
+            order: CameraOrder::of_number(order),
+            number: 0,
+            clear_mask,
+            clear_color,
+            has_viewport,
+            has_target: targets > 0 || target != CameraObject::FRAME_BUFFER,
+        };
+        Ok(node.with(NodeClass::Camera(Box::new(camera)), children))
     }
 
-    /// Reads an attribute that is left out with its Camera.
+    /// Reads an attribute of a Camera.
     fn attribute_of_camera(&mut self) -> Result<Object> {
         self.shared(Kind::Attribute, Self::attribute_in_place)
     }

@@ -1,6 +1,7 @@
 //! The objects of a file as plain values, shared as they are in the file. [`build`](super::build) makes nodes of them.
 
 mod arrays;
+mod cameras;
 mod images;
 mod inherited;
 mod lights;
@@ -12,6 +13,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat4, DQuat, DVec3};
 
 pub(super) use self::arrays::{ArrayObject, Binding, BoundArray};
+pub(super) use self::cameras::{CameraObject, CameraOrder};
 pub(super) use self::images::{ImageData, ImageObject, RawImage};
 pub(super) use self::inherited::{Inherited, ON};
 pub(super) use self::lights::{ClipPlaneObject, FogObject, LightModelObject, LightObject};
@@ -100,6 +102,9 @@ pub(super) enum NodeClass {
         /// The planes move with the eye.
         is_absolute: bool,
     },
+    Camera(Box<CameraObject>),
+    /// A Projection: a matrix of OpenGL, with depths of -1 to 1.
+    Projection(Box<DMat4>),
     /// A CoordinateSystemNode with its system: EPSG or WKT. Empty if the positions are earth-centred.
     CoordinateSystem(String),
     /// An osgTerrain::Terrain: a CoordinateSystemNode whose tiles have its settings.
@@ -346,8 +351,17 @@ pub(super) enum AttributeObject {
         planes: [[f64; 4]; 4],
     },
     TexMat(TexMatObject),
+    /// The side of points in pixels.
+    PointSize(f32),
     /// Attributes without effect here.
     Other(&'static str),
+}
+
+impl AttributeObject {
+    /// Returns a Point of a size in pixels with OpenGL's coefficients of its change with distance, which is not drawn.
+    pub fn of_point(size_px: f32, attenuation: [f32; 3]) -> Self {
+        if attenuation[1..] == [0.0; 2] { Self::PointSize(size_px) } else { Self::Other("Point") }
+    }
 }
 
 /// A TexEnvCombine: one combination for colour and one for alpha.

@@ -1,6 +1,7 @@
 //! State sets of the engine of those of a file. Decode threads.
 
 mod lighting;
+mod points;
 
 use std::sync::Arc;
 
@@ -118,8 +119,10 @@ impl Builder<'_> {
             AttributeObject::Material(material) if needs_surface_material(material) => {
                 Attribute::SurfaceMaterial(surface_material(material))
             }
-            // They are in the materials of the drawables.
-            AttributeObject::Material(_) | AttributeObject::AlphaFunc { .. } => return None,
+            // They are in the drawables.
+            AttributeObject::Material(_) | AttributeObject::AlphaFunc { .. } | AttributeObject::PointSize(_) => {
+                return None;
+            }
             AttributeObject::BlendFunc(factors) => {
                 let [source, destination, source_alpha, destination_alpha] = factors.map(blend_factor);
                 Attribute::BlendFunc(BlendFunc {
