@@ -187,6 +187,7 @@ mod tests {
                 level: 0,
                 bounds: &bounds,
                 plane: None,
+                region: None,
                 imagery: None,
                 corner_errors_m: None,
                 geometric_error_m: 0.0,

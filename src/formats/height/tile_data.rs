@@ -1,8 +1,8 @@
 //! The properties of height tiles in a tileset, and their transport to the decoder of the content. Decode threads.
 //!
 //! `asset.extras.terrane` of the tileset has the properties that all tiles share. Each tile has a region (or
-//! `extras.terrane.plane`: smallest x and y, largest x and y in metres, for sets that are not on the earth),
-//! `extras.terrane.imagery`, and `extras.terrane.corner_errors_m`. Without the last, or if it is invalid, it has the error of its level
+//! `extras.terrane.plane`: smallest x and y, largest x and y in metres, for sets that are not on the earth; or
+//! `extras.terrane.region`, where its volume is wider than its heights), `extras.terrane.imagery`, and `extras.terrane.corner_errors_m`. Without the last, or if it is invalid, it has the error of its level
 //! in `level_errors_m`, or else its `geometricError`. The reader of the tileset passes them to the decoder as `reader_data`,
 //! JSON of [`TileData`].
 
@@ -42,6 +42,8 @@ impl SetExtras {
 pub(in crate::formats) struct TileExtras {
     /// The rectangle in the frame of the set: the smallest x and y, then the largest; metres.
     pub plane: Option<[f64; 4]>,
+    /// The rectangle of the heights where the region of the tile is wider: west, south, east and north in radians.
+    pub region: Option<[f64; 4]>,
     /// A reference to the image that covers the tile.
     pub imagery: Option<String>,
     /// The geometric errors at the corners of the tile in metres: south-west, south-east, north-west, north-east.
@@ -116,6 +118,8 @@ pub(in crate::formats) struct HeightTileJson<'a> {
     pub bounds: &'a BoundingVolume,
     /// [`TileExtras::plane`].
     pub plane: Option<[f64; 4]>,
+    /// [`TileExtras::region`].
+    pub region: Option<[f64; 4]>,
     /// The URI of the image that covers the tile.
     pub imagery: Option<Arc<str>>,
     /// [`TileExtras::corner_errors_m`].
@@ -198,7 +202,7 @@ impl HeightSet {
     }
 
     /// Returns the errors of a tile. `above` are those of the tile that it is a part of; `None` for the tileset's root.
-    /// The rectangle of the tile is that of its volume, if it is a region and the tile has no plane.
+    /// The rectangle of the tile is that of its volume, if it is a region and the tile has no rectangle of its own.
     ///
     /// # Errors
     /// [`IoError::Invalid`] for a tile that has neither a region nor a plane.
@@ -210,8 +214,11 @@ impl HeightSet {
     ) -> Result<PlacedErrors, IoError> {
         let placement = match (tile.bounds, tile.plane) {
             (BoundingVolume::Region(r), None) => {
-                let east = if r.east < r.west { r.east + TAU } else { r.east };
-                Placement::Region([r.west, r.south, east, r.north])
+                let of = |[west, south, east, north]: [f64; 4]| {
+                    Placement::Region([west, south, if east < west { east + TAU } else { east }, north])
+                };
+                let own = tile.region.map(of).filter(|own| own.is_valid());
+                own.unwrap_or_else(|| of([r.west, r.south, r.east, r.north]))
             }
             (_, Some(p)) if Placement::Plane(p).is_valid() => Placement::Plane(p),
             _ => return Err(IoError::invalid(tileset_uri, "a height tile needs a region, or a plane in its extras")),
@@ -266,7 +273,15 @@ mod tests {
     }
 
     fn tile(bounds: &BoundingVolume, corner_errors_m: Option<CornerErrors>) -> HeightTileJson<'_> {
-        HeightTileJson { level: 0, bounds, plane: None, imagery: None, corner_errors_m, geometric_error_m: 7.0 }
+        HeightTileJson {
+            level: 0,
+            bounds,
+            plane: None,
+            region: None,
+            imagery: None,
+            corner_errors_m,
+            geometric_error_m: 7.0,
+        }
     }
 
     /// A tile interpolates between the corners of those above it, also across the antimeridian and in external tilesets.
@@ -285,6 +300,28 @@ mod tests {
         let part = HeightTileJson { level: 5, ..tile(&quarter, None) };
         let part = set.errors("set", &part, Some(&root)).unwrap();
         assert_eq!(part.errors.levels(), [[7.0; 4], [20.0, 30.0, 20.0, 30.0], [60.0, 60.0, 40.0, 40.0]]);
+    }
+
+    /// Trees at the edge of a tile reach over its heights, which need a rectangle of their own then.
+    #[test]
+    fn heights_have_their_own_rectangle_in_a_wider_volume() {
+        let json = r#"{"content":"height","side":65,"border":1,"level_errors_m":[90]}"#;
+        let set = HeightSet::from_extras("set", Some(serde_json::from_str(json).unwrap())).unwrap().unwrap();
+        let volume = BoundingVolume::Region(region([0.1, 0.8, 0.11, 0.81]));
+        let placed = |region: Option<[f64; 4]>| match set
+            .errors("set", &HeightTileJson { region, ..tile(&volume, None) }, None)
+            .unwrap()
+            .placement
+        {
+            Placement::Region(region) => region,
+            Placement::Plane(plane) => panic!("{plane:?}"),
+        };
+        assert_eq!(placed(None), [0.1, 0.8, 0.11, 0.81]);
+        assert_eq!(placed(Some([0.101, 0.801, 0.109, 0.809])), [0.101, 0.801, 0.109, 0.809]);
+        // Across the antimeridian.
+        assert_eq!(placed(Some([PI - 0.01, 0.801, 0.01 - PI, 0.809])), [PI - 0.01, 0.801, 0.01 - PI + TAU, 0.809]);
+        // An invalid one does not count.
+        assert_eq!(placed(Some([0.101, 0.809, 0.109, 0.801])), [0.1, 0.8, 0.11, 0.81]);
     }
 
     #[test]

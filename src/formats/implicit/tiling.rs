@@ -227,6 +227,7 @@ impl ImplicitTiling {
             level: heights.root_level + tile.level,
             bounds: &bounds,
             plane,
+            region: None,
             imagery: heights.imagery.as_ref().map(|template| template.fill(tile)),
             corner_errors_m: overrides.corner_errors_m,
             geometric_error_m: self.geometric_error_m(tile.level, overrides, transform),

@@ -214,7 +214,9 @@ impl Reader<'_> {
             let imagery = imagery.map(|reference| resolve(base, reference, &self.options.root)).transpose()?;
             let plane = extras.and_then(|own| own.plane);
             let corner_errors_m = extras.and_then(|own| own.corner_errors_m);
-            let tile = HeightTileJson { level, bounds: &bounds, plane, imagery, corner_errors_m, geometric_error_m };
+            let region = extras.and_then(|own| own.region);
+            let tile =
+                HeightTileJson { level, bounds: &bounds, plane, region, imagery, corner_errors_m, geometric_error_m };
             let errors = heights.errors(base, &tile, inherited.heights.as_ref())?;
             geometric_error_m = errors.geometric_error_m();
             height_data = Some(heights.tile_data(base, tile, &errors)?);
