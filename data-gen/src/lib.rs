@@ -20,6 +20,7 @@ mod fingerprint;
 mod generate;
 mod georeference;
 mod interrupt;
+mod jpeg2000;
 mod noise;
 mod opened;
 mod output;

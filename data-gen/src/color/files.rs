@@ -1,14 +1,16 @@
-//! Opens imagery: GeoTIFFs with their overviews, web tiles with their zoom levels, and photographs with a world file.
+//! Opens imagery: GeoTIFFs with their overviews, web tiles with their zoom levels, JPEG 2000, virtual rasters, and photographs with
+//! a world file.
 
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::levels::{Level, Opened};
-use super::{tiles, virtual_raster};
+use super::{jpeg2000, tiles, virtual_raster};
 use crate::GenError;
 use crate::elevation::png_rows;
 use crate::georeference::{Crs, Placement, geotiff::Tiff};
+use crate::jpeg2000::is_jpeg2000;
 use crate::store::{BlockCache, BlockReader, FileState, PixelImage, Rect, WholeReader, first_bytes, is_remote, whole};
 use crate::virtual_raster::is_virtual;
 use crate::web_tiles::is_archive;
@@ -39,7 +41,11 @@ fn open_at(path: &Path, given: Option<Crs>, cache: &Arc<BlockCache>, depth: usiz
             "neither .tif nor .pmtiles; files of other formats are read from disks only",
         ));
     }
-    if is_virtual(path, &first_bytes(path, cache)?) {
+    let magic = first_bytes(path, cache)?;
+    if is_jpeg2000(&magic) {
+        return jpeg2000::open(path, given, cache);
+    }
+    if is_virtual(path, &magic) {
         let open = |path: &Path, given| open_at(path, given, cache, depth + 1);
         return virtual_raster::open(path, given, cache, depth, &open);
     }

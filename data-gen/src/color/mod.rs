@@ -2,6 +2,7 @@
 
 mod files;
 mod imagery;
+mod jpeg2000;
 mod levels;
 mod painter;
 mod tiles;

@@ -15,10 +15,10 @@ use crate::web_tiles::{TileContent, is_folder_of_tiles};
 /// The extensions of elevation files in folders.
 const ELEVATION: &[&str] = &[
     "tif", "tiff", "hgt", "zip", "gz", "asc", "png", "exr", "pmtiles", "mbtiles", "dt0", "dt1", "dt2", "bil", "bip",
-    "bsq", "flt", "xyz", "nc", "grd", "sdat", "img", "jp2", "j2k", "dem",
+    "bsq", "flt", "xyz", "nc", "grd", "sdat", "img", "jp2", "j2k", "dem", "cub",
 ];
 /// The extensions of imagery in folders.
-const IMAGERY: &[&str] = &["tif", "tiff", "png", "jpg", "jpeg", "webp", "pmtiles", "mbtiles"];
+const IMAGERY: &[&str] = &["tif", "tiff", "png", "jpg", "jpeg", "webp", "jp2", "j2k", "pmtiles", "mbtiles"];
 
 /// Returns the files that paths name, in their order. A folder stands for its files with elevation or imagery by name, unless
 /// it is a folder of web tiles; a file name with `*` or `?` for the files that match it; a text file for the paths in its

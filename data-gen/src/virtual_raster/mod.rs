@@ -6,6 +6,7 @@
 //! warp      the part of the XML about a file that is resampled into another reference system
 //! xml       what both read: elements, numbers and paths
 //! image     the pixels: the blocks of the sources' images, copied or resampled; later sources lie on top
+//! warped    the pixels of a file that is resampled into another reference system
 //! ```
 //!
 //! Elevation and imagery open the sources as they open other files, so that all formats may be in a virtual raster.
@@ -13,6 +14,7 @@
 mod document;
 mod image;
 mod warp;
+mod warped;
 mod xml;
 
 use std::path::Path;
@@ -20,7 +22,8 @@ use std::path::Path;
 use crate::store::is_remote;
 pub(crate) use document::{VirtualRaster, VirtualSource};
 pub(crate) use image::{Piece, VirtualImage, VirtualPixels};
-pub(crate) use warp::{Resampling, Warp};
+pub(crate) use warp::Warp;
+pub(crate) use warped::{WarpedImage, WarpedPixels};
 
 /// The maximum number of virtual rasters that may be nested, the outermost included. Rasters that name one another in a loop are
 /// refused at this depth.

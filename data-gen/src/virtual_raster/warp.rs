@@ -2,11 +2,14 @@
 //! thread.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use roxmltree::Node;
 
 use super::xml::{child, children, number, path_of, unsupported};
-use crate::georeference::GeoTransform;
+use crate::GenError;
+use crate::georeference::{Crs, GeoTransform, Metadata, Placement};
+use crate::store::BlockCache;
 
 /// The way in which pixels of another grid are made of those of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,5 +83,24 @@ impl Warp {
             system: system.filter(|text| !text.is_empty()),
             resampling,
         })
+    }
+
+    /// Returns the placement of the pixels of the file, which has a size. `to` is that of the virtual raster at `path`, `given` the
+    /// reference system of files that do not name one.
+    pub fn placement(
+        &self,
+        path: &Path,
+        to: &Placement,
+        size: [usize; 2],
+        given: Option<Crs>,
+        cache: &Arc<BlockCache>,
+    ) -> Result<Placement, GenError> {
+        match &self.system {
+            Some(system) => {
+                let metadata = Metadata::of_system(path, system);
+                Placement::of_header(path, self.transform, size, given, &metadata, cache)
+            }
+            None => Ok(to.with_transform(self.transform)),
+        }
     }
 }

@@ -6,6 +6,7 @@ use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::plain::Sample;
 use super::{MAX_SAMPLES, Opened, RasterOptions, height_bits};
 use crate::GenError;
 use crate::georeference::{GeoTransform, Metadata, Placement};
@@ -62,27 +63,22 @@ impl<'a> Fields<'a> {
     }
 }
 
-/// The type of samples.
+/// The type of a band's samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Sample {
+enum BandSample {
+    /// A number of bits, at most 4.
     Bits(u32),
-    U8,
-    I8,
-    U16,
-    I16,
-    U32,
-    I32,
-    F32,
-    F64,
+    Whole(Sample),
 }
 
-impl Sample {
+impl BandSample {
     fn of(number: u16) -> Result<Self, String> {
-        let known = [Self::U8, Self::I8, Self::U16, Self::I16, Self::U32, Self::I32, Self::F32, Self::F64];
+        use Sample::{F32, F64, I8, I16, I32, U8, U16, U32};
         match number {
             0..=2 => Ok(Self::Bits(1 << number)),
             _ => {
-                known.get(usize::from(number) - 3).copied().ok_or_else(|| "complex samples are not heights".to_owned())
+                let known = [U8, I8, U16, I16, U32, I32, F32, F64].get(usize::from(number) - 3);
+                known.copied().map(Self::Whole).ok_or_else(|| "complex samples are not heights".to_owned())
             }
         }
     }
@@ -90,41 +86,28 @@ impl Sample {
     fn bits(self) -> usize {
         match self {
             Self::Bits(bits) => bits as usize,
-            Self::U8 | Self::I8 => 8,
-            Self::U16 | Self::I16 => 16,
-            Self::U32 | Self::I32 | Self::F32 => 32,
-            Self::F64 => 64,
+            Self::Whole(sample) => 8 * sample.bytes() as usize,
         }
     }
 
     /// Returns the value of a sample with an index in the bytes of a block.
     fn at(self, bytes: &[u8], k: usize) -> f64 {
-        let of = |count: usize| {
-            let mut number = [0; 8];
-            number[..count].copy_from_slice(&bytes[k * count..][..count]);
-            number
-        };
         match self {
             Self::Bits(bits) => f64::from(small(bytes, k, bits)),
-            Self::U8 => f64::from(bytes[k]),
-            Self::I8 => f64::from(bytes[k] as i8),
-            Self::U16 => u64::from_le_bytes(of(2)) as f64,
-            Self::I16 => f64::from(u64::from_le_bytes(of(2)) as i16),
-            Self::U32 | Self::I32 | Self::F32 => self.of_bits(u64::from_le_bytes(of(4)) as u32),
-            Self::F64 => f64::from_le_bytes(of(8)),
+            Self::Whole(sample) => {
+                let count = sample.bytes() as usize;
+                let mut number = [0; 8];
+                number[..count].copy_from_slice(&bytes[k * count..][..count]);
+                sample.value(number)
+            }
         }
     }
 
     /// Returns the value of a sample of a compressed block. Its highest bits do not count if it has fewer than 32.
     fn of_bits(self, bits: u32) -> f64 {
         match self {
-            Self::F32 => f64::from(f32::from_bits(bits)),
-            Self::I8 => f64::from(bits as i8),
-            Self::I16 => f64::from(bits as i16),
-            Self::I32 => f64::from(bits as i32),
-            Self::Bits(_) | Self::U8 => f64::from(bits as u8),
-            Self::U16 => f64::from(bits as u16),
-            Self::U32 | Self::F64 => f64::from(bits),
+            Self::Bits(_) => f64::from(bits as u8),
+            Self::Whole(sample) => sample.value(u64::from(bits).to_le_bytes()),
         }
     }
 }
@@ -219,7 +202,7 @@ struct Beside {
 /// A band.
 struct Band {
     grid: BlockGrid,
-    sample: Sample,
+    sample: BandSample,
     blocks: Blocks,
     nodata: Option<f64>,
     transform: GeoTransform,
@@ -314,7 +297,7 @@ fn band(path: &Path, mut tree: Tree, options: &RasterOptions) -> Result<Band, St
             Err(reason) => return Err(reason),
         };
     }
-    Ok(Band { grid, sample: Sample::of(kind)?, blocks, nodata, transform, system })
+    Ok(Band { grid, sample: BandSample::of(kind)?, blocks, nodata, transform, system })
 }
 
 /// Returns the value of samples without data: a matrix of one number.
@@ -322,7 +305,7 @@ fn nodata_of(content: &[u8]) -> Option<f64> {
     let mut fields = Fields(content);
     fields.count().ok()?;
     let [rows, columns] = [fields.long().ok()?, fields.long().ok()?];
-    let sample = Sample::of(fields.short().ok()?).ok()?;
+    let sample = BandSample::of(fields.short().ok()?).ok()?;
     fields.short().ok()?;
     let is_one = rows == 1 && columns == 1 && fields.0.len() * 8 >= sample.bits();
     is_one.then(|| sample.at(fields.0, 0))
@@ -397,7 +380,7 @@ fn definition(content: &[u8], datum: &str) -> Result<String, String> {
 }
 
 /// Decodes a compressed block. The error is the reason.
-fn unpack(bytes: &[u8], sample: Sample, count: usize) -> Result<Vec<f64>, String> {
+fn unpack(bytes: &[u8], sample: BandSample, count: usize) -> Result<Vec<f64>, String> {
     let mut head = Fields(bytes);
     let (low, runs, values) = (head.long()?, head.long()?, head.long()? as usize);
     let bits = u32::from(head.array::<1>()?[0]);
@@ -493,7 +476,7 @@ impl Erdas {
         match compression {
             0 => tree.read(at.into(), plain_bytes).map(|bytes| Some(plain(bytes))),
             // Blocks that do not shrink are a little longer.
-            1 if *sample != Sample::F64 && length <= 2 * plain_bytes + MAX_ENTRY_BYTES => {
+            1 if *sample != BandSample::Whole(Sample::F64) && length <= 2 * plain_bytes + MAX_ENTRY_BYTES => {
                 unpack(&tree.read(at.into(), length)?, *sample, count).map(Some)
             }
             other => Err(format!("a block of {length} bytes with the compression {other}")),

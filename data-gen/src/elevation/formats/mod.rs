@@ -1,5 +1,5 @@
-//! Readers of elevation files: GeoTIFF, HGT, DTED, USGS DEM, PNG, EXR, JPEG 2000, netCDF, Erdas Imagine, grids of Surfer, ASCII
-//! grids, points in text files, plain samples with a header, virtual rasters, PMTiles, MBTiles and folders of web tiles.
+//! Readers of elevation files: GeoTIFF, HGT, DTED, USGS DEM, PNG, EXR, JPEG 2000, netCDF, Erdas Imagine, grids of Surfer, cubes of
+//! ISIS, ASCII grids, points in text files, plain samples with a header, virtual rasters, PMTiles, MBTiles and folders of web tiles.
 //!
 //! Files are opened before a run begins; the threads of the run read blocks of them, several at the same time.
 
@@ -25,6 +25,7 @@ use std::sync::Arc;
 use super::context::SourceContext;
 use crate::GenError;
 use crate::georeference::{Crs, Placement};
+use crate::jpeg2000::is_jpeg2000;
 use crate::store::{BlockGrid, BlockReader, first_bytes, is_remote};
 use crate::virtual_raster::is_virtual;
 use crate::web_tiles::is_archive;
@@ -119,6 +120,7 @@ fn open_at(
     }
     let is_hgt = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("hgt"));
     match &magic[..] {
+        [] => Err(GenError::invalid(path, "the file is empty")),
         _ if is_hgt => hgt::open(path),
         _ if is_tiff(&magic) => tiff::open(path, options, context),
         [0x89, b'P', b'N', b'G', ..] => png::open(path, options, &context.cache),
@@ -126,19 +128,20 @@ fn open_at(
         [0x1f, 0x8b, ..] => hgt::open_gzip(path, &context.cache),
         [b'P', b'K', 3, 4, ..] => hgt::open_zip(path, &context.cache),
         _ if dted::is_dted(&magic) => dted::open(path),
-        _ if jpeg2000::is_jpeg2000(&magic) => jpeg2000::open(path, options, &context.cache),
+        _ if is_jpeg2000(&magic) => jpeg2000::open(path, options, &context.cache),
         _ if is_virtual(path, &magic) => virtual_raster::open(path, options, context, depth),
         _ if ascii_grid::is_ascii_grid(&magic) => ascii_grid::open(path, options, &context.cache),
         [b'C', b'D', b'F', 1 | 2 | 5, ..] | [0x89, b'H', b'D', b'F', ..] => netcdf::open(path, options, context),
         [b'E', b'H', b'F', b'A', ..] => erdas::open(path, options, &context.cache),
         _ if plain::is_surfer(&magic) => plain::open_surfer(path, options, &context.cache),
+        _ if plain::is_isis(&magic) => plain::open_isis(path, options, &context.cache),
         _ if let Some(format) = converted_first(&magic) => Err(GenError::invalid(path, format)),
         _ if usgs_dem::is_usgs_dem(path)? => usgs_dem::open(path, options),
         _ if xyz::is_xyz(path)? => xyz::open(path, options, &context.cache),
         _ => plain::open(path, options, &context.cache)?.ok_or_else(|| {
             let formats = "neither GeoTIFF, HGT (or a zip or gzip file of one), DTED, USGS DEM, PNG, EXR, JPEG 2000, netCDF, Erdas \
-                           Imagine, PMTiles, MBTiles, VRT, an ASCII grid, a grid of Surfer, XYZ, nor plain samples with a .hdr, \
-                           .sgrd or .lbl file beside them";
+                           Imagine, PMTiles, MBTiles, VRT, an ASCII grid, a grid of Surfer, a cube of ISIS, XYZ, nor plain samples \
+                           with a .hdr, .sgrd, .lbl or .xml file beside them";
             GenError::invalid(path, formats)
         }),
     }
@@ -174,14 +177,17 @@ pub(super) fn open_overview(
 /// Returns a word about a format that is not read, by a file's first bytes.
 fn converted_first(magic: &[u8]) -> Option<String> {
     let name = match magic {
-        [b'P', b'D', b'S', b'_', ..] | [b'C', b'C', b'S', b'D', ..] => {
-            return Some("a label of NASA's PDS; name the file of its samples, beside which the label is".to_owned());
+        [b'P', b'D', b'S', b'_', ..] | [b'C', b'C', b'S', b'D', ..] | [b'<', b'?', b'x', b'm', b'l', ..] => {
+            return Some(
+                "a label, as that of NASA's PDS; name the file of its samples, beside which the label is".to_owned(),
+            );
         }
         [b'L', b'A', b'S', b'F', ..] => {
             return Some("points of a laser scan (LAS); pdal makes a raster of them".to_owned());
         }
         [0x0e, 0x03, 0x13, 0x01, ..] => "HDF of version 4",
         [b'G', b'R', b'I', b'B', ..] => "GRIB",
+        [b'G', b'R', b'I', b'D', b'1', ..] => "a binary grid of Esri",
         [b'm', b's', b'i', b'd', ..] => "MrSID",
         [b'N', b'I', b'T', b'F', ..] | [b'N', b'S', b'I', b'F', ..] => "NITF",
         [b'S', b'I', b'M', b'P', b'L', b'E', b' ', ..] => "FITS",

@@ -105,6 +105,24 @@ fn jpeg2000() -> Parser {
     raster("jpeg-2000", "a.jp2", true, &rasters::gdal::JPEG_2000.map(<[u8]>::to_vec))
 }
 
+fn isis() -> Parser {
+    let cube = |is_tiled| rasters::planetary::cube(is_tiled, rasters::planetary::LATITUDES);
+    raster("isis", "a.cub", false, &[cube(true), cube(false)])
+}
+
+/// Fuzzes the label; the samples beside it are few.
+fn pds4() -> Parser {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.img");
+    std::fs::write(&path, [7; 246]).unwrap();
+    Parser::new("pds4", [rasters::planetary::label().into_bytes()], move |bytes| {
+        std::fs::write(folder.path().join("a.xml"), bytes).unwrap();
+        if let Ok(raster) = Raster::read(&path) {
+            let _ = raster.range_m();
+        }
+    })
+}
+
 fn usgs_dem() -> Parser {
     raster("usgs-dem", "a.dem", false, &[rasters::gdal::USGS_DEM.to_vec()])
 }
@@ -314,12 +332,13 @@ fn colour_files() -> Parser {
         bytes.into_inner()
     };
     let opaque = image::DynamicImage::ImageRgb8(picture.to_rgb8());
-    let seeds = [
+    let mut seeds = vec![
         encoded(image::ImageFormat::Png, &picture),
         encoded(image::ImageFormat::Jpeg, &opaque),
         encoded(image::ImageFormat::WebP, &picture),
         tiff(vec![Image::new([64; 2], 8, 3, opaque.to_rgb8().into_raw()).at([7.4, 46.6], [0.004; 2])]),
     ];
+    seeds.extend(rasters::gdal::JPEG_2000_COLORS.map(<[u8]>::to_vec));
     Parser::new("colour-files", seeds, move |bytes| {
         std::fs::write(&path, bytes).unwrap();
         let args = GenArgs {
@@ -343,6 +362,8 @@ kit::parsers! {
     netcdf,
     erdas,
     jpeg2000,
+    isis,
+    pds4,
     usgs_dem,
     warped_raster,
     surfer,

@@ -148,7 +148,7 @@ fn plain_samples_are_placed_by_the_header_beside_them() {
     fs::write(&fits, b"SIMPLE  = T and more").unwrap();
     assert!(error(&fits, &usual()).contains("FITS; gdal_translate writes it as GeoTIFF"));
     fs::remove_file(float.with_extension("hdr")).unwrap();
-    assert!(error(&float, &usual()).contains("nor plain samples with a .hdr, .sgrd or .lbl file beside them"));
+    assert!(error(&float, &usual()).contains("nor plain samples with a .hdr, .sgrd, .lbl or .xml file beside them"));
 }
 
 #[test]

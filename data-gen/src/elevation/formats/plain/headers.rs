@@ -4,7 +4,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::{Header, Interleave, Sample};
+use super::samples::Sample;
+use super::{Header, Interleave};
 use crate::GenError;
 use crate::georeference::GeoTransform;
 use crate::store::{BlockCache, text_of, with_extension, with_more};
@@ -112,6 +113,7 @@ impl Header {
             skipped: whole("skipbytes")?.unwrap_or(0),
             row_bytes,
             band_bytes,
+            tile: None,
             nodata: number("nodata")?.or(number("nodata_value")?),
             unit_m: 1.0,
             offset_m: 0.0,
@@ -168,6 +170,7 @@ impl Header {
             skipped: whole("header offset")?.unwrap_or(0),
             row_bytes: None,
             band_bytes: None,
+            tile: None,
             nodata: number("data ignore value")?,
             unit_m: 1.0,
             offset_m: 0.0,

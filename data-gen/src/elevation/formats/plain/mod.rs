@@ -1,9 +1,13 @@
 //! Rasters of plain samples whose layout a header tells: of ESRI, the USGS, ENVI, SAGA and NASA's PDS in a text file beside the
-//! samples, of Surfer before them.
+//! samples, of Surfer and ISIS before them.
 
 mod headers;
+mod isis;
 mod pds;
+mod pds4;
+mod planetary;
 mod saga;
+mod samples;
 mod surfer;
 
 use std::fs::File;
@@ -16,51 +20,14 @@ use crate::GenError;
 use crate::georeference::{GeoTransform, Metadata, Placement};
 use crate::store::{BlockCache, BlockGrid, BlockReader, FileState, Rect};
 
+pub(super) use isis::{is_isis, open as open_isis};
+pub(super) use samples::Sample;
 pub(super) use surfer::{is_surfer, open as open_surfer};
 
 /// The largest number of samples in a block.
 const MAX_BLOCK: usize = 1 << 20;
 /// The largest number of rows in a block.
 const MAX_ROWS: usize = 64;
-
-/// The type of samples.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Sample {
-    U8,
-    I8,
-    U16,
-    I16,
-    U32,
-    I32,
-    F32,
-    F64,
-}
-
-impl Sample {
-    fn bytes(self) -> u64 {
-        match self {
-            Self::U8 | Self::I8 => 1,
-            Self::U16 | Self::I16 => 2,
-            Self::U32 | Self::I32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
-
-    /// Returns the value of a sample; its bytes start with the lowest one.
-    fn value(self, b: [u8; 8]) -> f64 {
-        let four = [b[0], b[1], b[2], b[3]];
-        match self {
-            Self::U8 => f64::from(b[0]),
-            Self::I8 => f64::from(b[0] as i8),
-            Self::U16 => f64::from(u16::from_le_bytes([b[0], b[1]])),
-            Self::I16 => f64::from(i16::from_le_bytes([b[0], b[1]])),
-            Self::U32 => f64::from(u32::from_le_bytes(four)),
-            Self::I32 => f64::from(i32::from_le_bytes(four)),
-            Self::F32 => f64::from(f32::from_le_bytes(four)),
-            Self::F64 => f64::from_le_bytes(b),
-        }
-    }
-}
 
 /// The order of the samples of several bands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,6 +53,8 @@ struct Header {
     /// The bytes from a row of a band to the band's next one, and from a band to the next, where a header names them.
     row_bytes: Option<u64>,
     band_bytes: Option<u64>,
+    /// The columns and rows of the tiles that a band is divided into, one after another, all of them whole.
+    tile: Option<[usize; 2]>,
     /// The value of samples without data.
     nodata: Option<f64>,
     /// Metres for each unit.
@@ -116,6 +85,15 @@ impl Header {
             return Err(format!("{width} x {height} samples of {} bands", self.bands));
         }
         let (bands, band) = (self.bands as u64, band as u64);
+        if let Some(tile) = self.tile {
+            let [across, down] = [0, 1].map(|axis| self.size[axis].div_ceil(tile[axis]) as u64);
+            let tile_bytes = tile[0] as u64 * tile[1] as u64 * sample;
+            let band_bytes = across.checked_mul(down).and_then(|tiles| tiles.checked_mul(tile_bytes));
+            let start = band_bytes.and_then(|bytes| bytes.checked_mul(band)?.checked_add(self.skipped));
+            let end = start.zip(band_bytes).and_then(|(start, bytes)| start.checked_add(bytes));
+            let steps = start.map(|start| Steps { start, row: tile[0] as u64 * sample, column: sample });
+            return steps.filter(|_| end.is_some_and(|end| end <= file_bytes)).ok_or_else(lacks);
+        }
         let steps = || {
             let row = width * sample;
             let (row, from_band, column) = match self.interleave {
@@ -149,7 +127,10 @@ struct Plain {
 
 /// Opens a raster that has a header beside it. `None` without one.
 pub(super) fn open(path: &Path, options: &RasterOptions, cache: &Arc<BlockCache>) -> Result<Option<Opened>, GenError> {
-    let found = match [saga::header, pds::header].into_iter().find_map(|header| header(path, cache).transpose()) {
+    let found = match [saga::header, pds::header, pds4::header]
+        .into_iter()
+        .find_map(|header| header(path, cache).transpose())
+    {
         Some(found) => Some(found?),
         None => headers::header(path, cache)?,
     };
@@ -185,7 +166,11 @@ fn open_with(
     };
     let placement = Placement::of_header(path, header.transform, header.size, options.crs.clone(), &system, cache)?;
     let rows = (MAX_BLOCK / header.size[0]).clamp(1, MAX_ROWS);
-    let grid = BlockGrid::new(header.size, [header.size[0], rows]);
+    let grid = match header.tile {
+        // Tiles beyond the edges are whole in the file.
+        Some(tile) => BlockGrid { size: header.size, block: tile },
+        None => BlockGrid::new(header.size, [header.size[0], rows]),
+    };
     let plain = Plain { path: path.to_owned(), header, steps, options: options.clone(), state };
     Ok(Opened { grid, reader: Box::new(plain), placement })
 }
@@ -200,7 +185,14 @@ impl BlockReader for Plain {
         let mut bytes = vec![0; column * (block.width - 1) + bytes_of_sample];
         let mut heights = Vec::with_capacity(block.pixels());
         for y in block.row..block.row + block.height {
-            let at = start + y as u64 * row + (block.column * column) as u64;
+            let at = match self.header.tile {
+                None => start + y as u64 * row + (block.column * column) as u64,
+                Some([width, height]) => {
+                    let across = self.header.size[0].div_ceil(width) as u64;
+                    let tile = (block.row / height) as u64 * across + (block.column / width) as u64;
+                    start + (tile * height as u64 + (y - block.row) as u64) * row
+                }
+            };
             file.seek(SeekFrom::Start(at))
                 .and_then(|_| file.read_exact(&mut bytes))
                 .map_err(GenError::file(&self.path))?;

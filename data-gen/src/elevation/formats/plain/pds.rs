@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::headers::{finite, whole};
-use super::{Header, Interleave, Sample};
+use super::samples::Sample;
+use super::{Header, Interleave};
 use crate::GenError;
 use crate::georeference::{GeoTransform, named_unit_m};
 use crate::store::{BlockCache, text_of, with_extension};
@@ -126,6 +127,7 @@ impl<'a> Label<'a> {
             skipped,
             row_bytes: None,
             band_bytes: None,
+            tile: None,
             nodata: self.text(image, "MISSING_CONSTANT").and_then(|text| text.parse().ok()),
             unit_m: factor,
             offset_m,

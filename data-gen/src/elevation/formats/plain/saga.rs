@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::headers::{finite, whole};
-use super::{Header, Interleave, Sample};
+use super::samples::Sample;
+use super::{Header, Interleave};
 use crate::GenError;
 use crate::georeference::{GeoTransform, named_unit_m};
 use crate::store::{BlockCache, text_of, with_extension};
@@ -61,6 +62,7 @@ fn parse(text: &str) -> Result<Header, String> {
         skipped: named("DATAFILE_OFFSET").map_or(Ok(0), |value| whole(value, "DATAFILE_OFFSET"))?,
         row_bytes: None,
         band_bytes: None,
+        tile: None,
         nodata,
         unit_m: unit_m * factor,
         offset_m: 0.0,

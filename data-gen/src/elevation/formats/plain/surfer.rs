@@ -7,7 +7,8 @@ use std::sync::Arc;
 
 use super::super::ascii_grid::{Words, number, words};
 use super::super::{MAX_SAMPLES, Opened, RasterOptions};
-use super::{Header, Interleave, Sample, open_with};
+use super::samples::Sample;
+use super::{Header, Interleave, open_with};
 use crate::GenError;
 use crate::georeference::{GeoTransform, Placement};
 use crate::store::{BlockCache, FileState, WholeReader, whole};
@@ -97,6 +98,7 @@ fn header(size: [usize; 2], sample: Sample, skipped: usize, blank: f64, transfor
         skipped: skipped as u64,
         row_bytes: None,
         band_bytes: None,
+        tile: None,
         nodata: Some(blank),
         unit_m: 1.0,
         offset_m: 0.0,

@@ -9,6 +9,9 @@ use terrane_data_gen::{HeightEncoding, Raster, RasterOptions};
 
 /// 12 x 10 signed samples of `-300 + 37 x - 11 y²`: placed by GeoJP2 in UTM, by GMLJP2 in degrees, and without boxes.
 pub const JPEG_2000: [&[u8]; 3] = [include_bytes!("geo.jp2"), include_bytes!("gml.jp2"), include_bytes!("raw.j2k")];
+/// Small images: RGB, RGB with opacity in 16 bits, and a palette.
+pub const JPEG_2000_COLORS: [&[u8]; 3] =
+    [include_bytes!("rgb.jp2"), include_bytes!("rgba16.jp2"), include_bytes!("palette.jp2")];
 /// 5 x 6 heights in UTM.
 pub const USGS_DEM: &[u8] = include_bytes!("small.dem");
 

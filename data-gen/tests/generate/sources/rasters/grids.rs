@@ -84,7 +84,7 @@ fn grids_of_saga_are_placed_by_their_header() {
         assert!(error.contains(why), "{error}, not {why}");
     }
     fs::remove_file(beside).unwrap();
-    assert!(error(&path, &usual()).contains("nor plain samples with a .hdr, .sgrd or .lbl file"));
+    assert!(error(&path, &usual()).contains("nor plain samples with a .hdr, .sgrd, .lbl or .xml file"));
 }
 
 #[test]

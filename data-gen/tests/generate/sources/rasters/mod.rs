@@ -1,10 +1,12 @@
-//! Formats of other programs: netCDF, Erdas Imagine, grids of Surfer and SAGA, JPEG 2000, USGS DEM, warped virtual rasters.
+//! Formats of other programs: netCDF, Erdas Imagine, grids of Surfer and SAGA, JPEG 2000, USGS DEM, cubes of ISIS, PDS4, warped
+//! virtual rasters.
 
 pub mod erdas;
 pub mod gdal;
 pub mod grids;
 pub mod netcdf;
 mod places;
+pub mod planetary;
 
 use std::path::Path;
 

@@ -1,7 +1,5 @@
 //! Virtual rasters of GDAL with elevation.
 
-mod warped;
-
 use std::path::Path;
 use std::sync::Arc;
 
@@ -11,9 +9,11 @@ use super::super::context::SourceContext;
 use super::{Opened, RasterOptions, is_tiff, open_at};
 use crate::GenError;
 use crate::georeference::geotiff::Tiff;
-use crate::georeference::{Crs, Metadata, Placement};
+use crate::georeference::{Crs, Placement};
 use crate::store::{BlockReader, PixelImage, Rect, first_bytes};
-use crate::virtual_raster::{MAX_DEPTH, Piece, VirtualImage, VirtualPixels, VirtualRaster, VirtualSource, Warp};
+use crate::virtual_raster::{
+    MAX_DEPTH, Piece, VirtualImage, VirtualPixels, VirtualRaster, VirtualSource, Warp, WarpedImage, WarpedPixels,
+};
 
 /// Heights in metres, as bits.
 struct Heights;
@@ -31,6 +31,16 @@ impl VirtualPixels for Heights {
         let height = (nw * (1.0 - east) + ne * east) * (1.0 - south) + (sw * (1.0 - east) + se * east) * south;
         let nearest = corners[usize::from(east >= 0.5) + 2 * usize::from(south >= 0.5)];
         if height.is_nan() { nearest } else { (height as f32).to_bits() }
+    }
+}
+
+impl WarpedPixels for Heights {
+    fn values(pixel: u32) -> ([f64; 3], f64) {
+        ([f32::from_bits(pixel).into(), 0.0, 0.0], 1.0)
+    }
+
+    fn pixel([height_m, ..]: [f64; 3], _opacity: f64) -> u32 {
+        (height_m as f32).to_bits()
     }
 }
 
@@ -231,14 +241,10 @@ fn open_warped(
     let nodata = nodata.or(options.nodata);
     let file = SourceFile { path: &warp.path, band, nodata, factor_and_offset: [1.0, 0.0], units };
     let (opened, size) = file.open(options, context, depth + 1, |_| None)?;
-    let from = match &warp.system {
-        Some(system) => {
-            let metadata = Metadata::of_system(path, system);
-            Placement::of_header(path, warp.transform, size, options.crs.clone(), &metadata, &context.cache)?
-        }
-        None => to.with_transform(warp.transform),
-    };
-    Ok(warped::warped(opened, raster.size, [from, to], warp.resampling, &context.cache))
+    let from = warp.placement(path, &to, size, options.crs.clone(), &context.cache)?;
+    let image = Arc::new(PixelImage::new(opened.grid, opened.reader, &context.cache));
+    let (grid, reader) = WarpedImage::<Heights>::new(image, raster.size, [from, to.clone()], warp.resampling);
+    Ok(Opened { grid, reader: Box::new(reader), placement: to })
 }
 
 /// The heights of a file in the units of a virtual raster.
