@@ -132,7 +132,8 @@ fn terrain(
         wanted = wanted.max(levels_for(sides, imagery.pixel_size(), TEXELS as usize));
     }
     let levels = args.levels.unwrap_or(wanted.min(MAX_LEVELS));
-    let mut notes = Vec::new();
+    let mut notes: Vec<String> = rasters.iter().filter_map(Raster::note).collect();
+    notes.extend(imagery.into_iter().flat_map(Imagery::notes));
     if levels < wanted {
         notes.push(format!("the sources have detail for {wanted} levels; {levels} are written"));
     }
@@ -306,7 +307,13 @@ pub(crate) fn with_grid<T>(
     if let (Some(image), Some(path)) = (&imagery, args.imagery.first())
         && !image.covers(&extent)?
     {
-        return Err(GenError::invalid(path, "does not overlap the elevation"));
+        let notes: Vec<String> = image.notes().collect();
+        let reason = if notes.is_empty() {
+            "does not overlap the elevation"
+        } else {
+            "has no georeference; a world file places it"
+        };
+        return Err(GenError::invalid(path, reason));
     }
     if let Some(image) = &imagery
         && image.ellipsoids().any(|own| !is_same(&own, &ellipsoid))

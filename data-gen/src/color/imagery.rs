@@ -22,6 +22,7 @@ pub(crate) struct Imagery {
 
 /// An image with its position on the earth.
 struct Image {
+    path: PathBuf,
     /// The image, and copies of it, each about half as fine as the one before.
     levels: Vec<Level>,
     placement: Placement,
@@ -55,6 +56,11 @@ impl Imagery {
     /// Returns the ellipsoids that the reference systems of images name.
     pub fn ellipsoids(&self) -> impl Iterator<Item = Ellipsoid> {
         self.images.iter().filter_map(|image| image.placement.ellipsoid())
+    }
+
+    /// Returns notes about images without a georeference, whose placement was assumed.
+    pub fn notes(&self) -> impl Iterator<Item = String> {
+        self.images.iter().filter_map(|image| image.placement.note(&image.path))
     }
 
     /// Returns the size of the smallest pixel at the centre of an image, in radians of longitude and latitude.
@@ -118,7 +124,7 @@ impl Image {
             let size = levels.first().map_or([1; 2], |level| level.image.grid().size);
             placement = placement.shifted_by(grid, size).map_err(|reason| GenError::invalid(path, reason))?;
         }
-        Ok(Self { levels: completed(levels, cache), placement, is_remote: is_remote(path) })
+        Ok(Self { path: path.to_owned(), levels: completed(levels, cache), placement, is_remote: is_remote(path) })
     }
 
     /// Reads the blocks of a level inside of a rectangle, several at the same time, if the image is on a server.

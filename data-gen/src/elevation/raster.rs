@@ -198,6 +198,11 @@ impl Raster {
         self.placement.ellipsoid()
     }
 
+    /// Returns a note if the file has no georeference and a placement was assumed.
+    pub(crate) fn note(&self) -> Option<String> {
+        self.placement.note(&self.path)
+    }
+
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }

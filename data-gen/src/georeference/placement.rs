@@ -29,11 +29,13 @@ pub(crate) struct Placement {
     crs: Crs,
     /// Added to the longitudes of the system, in radians: 0 or a whole turn, for rasters beyond the date line.
     turn: f64,
+    /// True for the placement of files without a georeference.
+    is_assumed: bool,
 }
 
 impl Placement {
     pub fn new(transform: GeoTransform, crs: Crs) -> Self {
-        Self { transform, crs, turn: 0.0 }
+        Self { transform, crs, turn: 0.0, is_assumed: false }
     }
 
     /// Moves a raster that lies beyond 180 degrees as a whole back by a turn, so that 190 becomes -170. A raster across
@@ -43,6 +45,19 @@ impl Placement {
         let within = |turn: f64| west + turn >= -PI - ROUNDING && east + turn <= PI + ROUNDING;
         let turn = [0.0, -TAU, TAU].into_iter().find(|turn| within(*turn));
         Self { turn: self.turn + turn.unwrap_or(0.0), ..self }
+    }
+
+    /// Returns a note about a file if it has no georeference and a placement was assumed.
+    pub fn note(&self, path: &Path) -> Option<String> {
+        let ([west, north], _) = DEFAULT_PLACEMENT;
+        let text = || {
+            format!(
+                "{}: no georeference; its north-western corner is taken to be at {west} degrees east and {north} degrees north, its \
+                 pixels to be a second of arc; a world file places it",
+                path.display()
+            )
+        };
+        self.is_assumed.then(text)
     }
 
     /// Returns [`Crs::ellipsoid`] of the reference system.
@@ -218,7 +233,7 @@ pub(crate) struct PixelRow<'a> {
 impl PixelRow<'_> {
     /// Returns the column and row of a longitude in radians, the same as [`Placement::pixel`].
     pub fn pixel(&self, longitude: f64) -> Option<[f64; 2]> {
-        let Placement { transform, crs, turn } = self.placement;
+        let Placement { transform, crs, turn, .. } = self.placement;
         match self.y {
             Some(y) => transform.pixel([crs.x_of_longitude(longitude - turn), y]),
             None => self.placement.pixel(longitude, self.latitude),
@@ -229,7 +244,8 @@ impl PixelRow<'_> {
 impl Default for Placement {
     fn default() -> Self {
         let (origin, pixel) = DEFAULT_PLACEMENT;
-        Self::new(GeoTransform { origin, dx: [pixel, 0.0], dy: [0.0, -pixel] }, Crs::Geographic)
+        let transform = GeoTransform { origin, dx: [pixel, 0.0], dy: [0.0, -pixel] };
+        Self { is_assumed: true, ..Self::new(transform, Crs::Geographic) }
     }
 }
 

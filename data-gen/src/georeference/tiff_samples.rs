@@ -9,6 +9,9 @@ use super::geotiff::{Tiff, failed};
 use crate::GenError;
 use crate::store::Rect;
 
+/// The code of LERC.
+const LERC: u16 = 34887;
+
 impl Tiff {
     /// Reads a rectangle of a channel as heights in metres, row-major, north row first; NaN without data. `more_nodata` is
     /// another value that marks samples without data.
@@ -71,6 +74,13 @@ impl Tiff {
     /// Returns an error for samples of a kind that is not supported, and for units of heights that are not known.
     pub fn check_samples(&self) -> Result<(), GenError> {
         self.factor_and_offset_m(0).map_err(|reason| GenError::invalid(&self.path, reason))?;
+        let is_lerc = self.file.ifd(self.index).is_ok_and(|ifd| ifd.compression() == LERC);
+        if is_lerc && self.file.byte_order() == ByteOrder::BigEndian {
+            return Err(self.bad(
+                "samples compressed as LERC in a big-endian file, whose bytes libtiff swaps before it compresses them; \
+                 gdal_translate -co COMPRESS=DEFLATE converts the file",
+            ));
+        }
         let unsupported = || self.bad(format!("samples of {} bits", self.layout.bits_per_sample));
         values(&[], &self.layout).map(|_| ()).ok_or_else(unsupported)
     }

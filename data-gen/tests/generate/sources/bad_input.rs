@@ -32,6 +32,7 @@ fn rasters_without_extent_or_heights_are_errors() {
         ("one.tif", floats([1, 1], [0.0; 2], |_, _| 5.0), "has no extent"),
         ("row.tif", floats([40, 1], [0.0; 2], |_, _| 5.0), "has no extent"),
         ("column.tif", floats([1, 40], [0.0; 2], |_, _| 5.0), "has no extent"),
+        ("empty.tif", Vec::new(), "the file is empty"),
         ("infinite.tif", floats([9, 9], [0.0; 2], |_, _| f32::INFINITY), "no sample has a height"),
         ("below.tif", floats([9, 9], [0.0; 2], |_, _| f32::NEG_INFINITY), "no sample has a height"),
     ] {
@@ -39,6 +40,33 @@ fn rasters_without_extent_or_heights_are_errors() {
         let error = run(&args).unwrap_err().to_string();
         assert!(error.contains(name) && error.contains(why) && !args.out.exists(), "{error}");
     }
+}
+
+/// Regression: files without a georeference lay at 8 degrees east without a word.
+#[test]
+fn files_without_a_georeference_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = |name: &str| {
+        let mut png = std::io::Cursor::new(Vec::new());
+        let image = image::RgbImage::from_fn(40, 40, |x, y| image::Rgb([1, 200 + (x + y) as u8 / 2, y as u8]));
+        image.write_to(&mut png, image::ImageFormat::Png).unwrap();
+        write(folder.path(), name, png.into_inner())
+    };
+    let (dem, colors) = (picture("dem.png"), picture("colors.png"));
+    let args =
+        GenArgs { dem: vec![dem.clone()], imagery: vec![colors.clone()], ..GenArgs::new(folder.path().join("a")) };
+    let summary = run(&args).unwrap();
+    for name in ["dem.png", "colors.png"] {
+        let told =
+            |note: &String| note.contains(name) && note.contains("no georeference") && note.contains("8 degrees east");
+        assert_eq!(summary.notes.iter().filter(|note| told(note)).count(), 1, "{:?}", summary.notes);
+    }
+    std::fs::write(dem.with_extension("wld"), "0.001\n0\n0\n-0.001\n20\n30\n").unwrap();
+    let error = run(&GenArgs { overwrite: true, ..args.clone() }).unwrap_err().to_string();
+    assert!(error.contains("colors.png") && error.contains("has no georeference; a world file places it"), "{error}");
+    std::fs::write(colors.with_extension("wld"), "0.001\n0\n0\n-0.001\n20\n30\n").unwrap();
+    let notes = run(&GenArgs { overwrite: true, ..args }).unwrap().notes;
+    assert!(notes.iter().all(|note| !note.contains("no georeference")), "{notes:?}");
 }
 
 #[test]

@@ -273,6 +273,10 @@ fn compressions_that_are_not_supported_are_named() {
         let error = run(&from_dem(folder.path(), "a.tif", &tiff(vec![image]))).unwrap_err().to_string();
         assert!(error.contains("a.tif: TIFF: samples compressed as ") && error.contains(name), "{error}");
     }
+    // Regression: GDAL 3.6 wrote heights of 1000 to 1063 m, which had other values here.
+    let swapped = include_bytes!("rasters/big_endian_lerc.tif");
+    let error = run(&from_dem(folder.path(), "a.tif", swapped)).unwrap_err().to_string();
+    assert!(error.contains("LERC in a big-endian file"), "{error}");
 }
 
 /// `gdalwarp -dstalpha` marks the samples without data so.
