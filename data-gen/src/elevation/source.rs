@@ -46,7 +46,8 @@ pub trait ElevationSource: Sync {
         Ok(())
     }
 
-    /// Returns true for a formula, which is computed at any distance of samples and reads no files.
+    /// Returns true for a formula, which is computed at any distance of samples, also beyond the rectangle of a set, and reads no
+    /// files.
     fn is_formula(&self) -> bool {
         false
     }

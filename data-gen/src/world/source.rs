@@ -1,5 +1,5 @@
 //! A world as a source of elevation: its heights at any longitude and latitude, for tiles that do not lie on the lattice of a
-//! set.
+//! set. Beyond the rectangle of the set the planet goes on.
 
 use super::points::meridians;
 use super::tiles::WorldSet;
@@ -47,9 +47,8 @@ impl ElevationSource for WorldSource {
         Ok(())
     }
 
-    /// Beyond the rectangle of the set lies the sea, if the world has one.
     fn water_depths_m(&self, longitudes: &[f64], latitudes: &[f64], out: &mut [f32]) -> Result<bool, GenError> {
-        let (world, extent) = (self.set.world(), self.extent());
+        let world = self.set.world();
         if !world.has_water() {
             return Ok(false);
         }
@@ -57,21 +56,13 @@ impl ElevationSource for WorldSource {
             [first, .., last] => (last - first) / (latitudes.len() - 1) as f64 * world.radius_m(),
             _ => 0.0,
         };
-        let outside_m = if world.parameters.relief.has_sea { 1.0 } else { -1.0 };
-        let is_in_columns = |longitude: f64| (extent.west..=extent.east).contains(&longitude);
         let meridians = meridians(longitudes.iter().copied());
         self.set.with_buffers(|buffers| {
             for (latitude, row) in latitudes.iter().zip(out.chunks_exact_mut(longitudes.len().max(1))) {
-                row.fill(outside_m);
-                if !(extent.south..=extent.north).contains(latitude) || !longitudes.iter().any(|l| is_in_columns(*l)) {
-                    continue;
-                }
                 world.ground_row_of(&meridians, *latitude, step_m, buffers);
-                let is_frozen = world.is_sea_frozen(*latitude);
-                for ((depth_m, longitude), own_m) in row.iter_mut().zip(longitudes).zip(&buffers.ground.depth_m) {
-                    if is_in_columns(*longitude) {
-                        *depth_m = if is_frozen { -1.0 } else { *own_m };
-                    }
+                match world.is_sea_frozen(*latitude) {
+                    true => row.fill(-1.0),
+                    false => row.copy_from_slice(&buffers.ground.depth_m),
                 }
             }
         });

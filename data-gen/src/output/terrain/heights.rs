@@ -115,7 +115,7 @@ impl<'a> Heights<'a> {
     }
 
     /// Returns the heights of a tile. Vertices without data continue their surroundings inside of the source's rectangle,
-    /// unless they shall be sea, and lie at 0 m outside.
+    /// unless they shall be sea, and lie at 0 m outside. A formula has its heights outside, too.
     pub fn of(&self, key: TileKey) -> Result<TileHeights, GenError> {
         let depth = self.levels - 1 - key.level;
         let (cells, side) = (self.grid.cells(depth), CELLS as i64);
@@ -129,12 +129,13 @@ impl<'a> Heights<'a> {
             TileHeights { samples: Samples::unknown(window), extent, first, cells, data_m, voids: 0, inputs };
         let step = TAU / cells as f64;
         let filled = self.fill(&extent, step, &samples)?;
+        let is_everywhere = self.source.is_formula();
         for y in window.first[1]..=window.last[1] {
             for x in window.first[0]..=window.last[0] {
                 let [longitude, latitude] = [SQUARE.west + step * x as f64, SQUARE.south + step * y as f64];
                 // Coarse cells across the border of the data would draw its heights far outside.
                 let margin = if depth == 0 { 0.0 } else { step };
-                let is_inside = self.is_inside(longitude, latitude, margin);
+                let is_inside = is_everywhere || self.is_inside(longitude, latitude, margin);
                 let own = [x - first[0], y - first[1]];
                 let height_m = samples.at(x, y);
                 if height_m.is_nan() && is_inside && own.iter().all(|c| (0..side).contains(c)) {
@@ -147,13 +148,58 @@ impl<'a> Heights<'a> {
                     };
                     let filled = filled.as_ref().filter(|_| is_inside);
                     samples.set(x, y, filled.map_or(0.0, |filled| filled.at(longitude, latitude)));
-                } else if own.iter().all(|c| (0..=side).contains(c)) {
+                } else if own.iter().all(|c| (0..=side).contains(c))
+                    && (!is_everywhere || self.is_inside(longitude, latitude, margin))
+                {
                     tile.data_m = [tile.data_m[0].min(height_m), tile.data_m[1].max(height_m)];
                 }
             }
         }
+        if is_everywhere {
+            self.join_coarser(key, &mut samples)?;
+        }
         tile.samples = samples;
         Ok(tile)
+    }
+
+    /// Moves the vertices on those edges of a tile beyond which there are only coarser tiles onto the lines that these draw. A source
+    /// that ends at its rectangle lies at 0 m there.
+    fn join_coarser(&self, key: TileKey, samples: &mut Samples) -> Result<(), GenError> {
+        let (columns, side) = (2i64 << key.level, CELLS as i64);
+        let [left, bottom] = [key.x, key.y].map(|c| i64::from(c) * side);
+        for (dx, dy) in [(-1, 0), (1, 0), (0, -1), (0, 1)] {
+            let [x, y] = [(i64::from(key.x) + dx).rem_euclid(columns), i64::from(key.y) + dy];
+            if !(0..columns / 2).contains(&y) {
+                continue;
+            }
+            let is_there = |up: u32| {
+                let beyond = TileKey { level: key.level - up, x: (x >> up) as u32, y: (y >> up) as u32 };
+                beyond.level == 0 || self.is_written(beyond)
+            };
+            let up = (0..=key.level).find(|up| is_there(*up)).unwrap_or(key.level).min(CELLS.ilog2());
+            if up == 0 {
+                continue;
+            }
+            // Coarse levels have no rivers: their heights are others at the common vertices, too.
+            let first = [left >> up, bottom >> up];
+            let window = Window { first, last: first.map(|c| c + (side >> up)) };
+            let coarser = self.coarse.sample(self.levels - 1 - key.level + up, window)?;
+            let stride = 1i64 << up;
+            let at = |k: i64| match (dx, dy) {
+                (0, _) => [left + k, bottom + if dy < 0 { 0 } else { side }],
+                _ => [left + if dx < 0 { 0 } else { side }, bottom + k],
+            };
+            for k in 0..=side {
+                let start = (k - k % stride).min(side - stride);
+                let [low, high] = [start, start + stride].map(|k| {
+                    let [x, y] = at(k);
+                    coarser.at(x >> up, y >> up)
+                });
+                let (share, [x, y]) = ((k - start) as f32 / stride as f32, at(k));
+                samples.set(x, y, low * (1.0 - share) + high * share);
+            }
+        }
+        Ok(())
     }
 
     /// Returns true if the source knows where water is.

@@ -27,6 +27,10 @@ impl<'a> Turned<'a> {
 }
 
 impl ElevationSource for Turned<'_> {
+    fn is_formula(&self) -> bool {
+        self.source.is_formula()
+    }
+
     fn height_m(&self, longitude: f64, latitude: f64) -> Result<Option<f64>, GenError> {
         self.source.height_m(self.longitude(longitude), latitude)
     }
