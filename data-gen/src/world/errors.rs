@@ -1,6 +1,6 @@
 //! The errors of the levels of a set, estimated from samples of the surface. A run measures each
-//! tile against the finest tiles below it instead, and takes the estimate of the finest level only; servers, which do not know
-//! all tiles, declare the estimates.
+//! tile against the finest tiles below it instead, and takes the estimate of the finest level only. The meshes of a level depend on
+//! them. Servers of height tiles declare estimates of each tile ([`super::tile_errors`]).
 //!
 //! The difference between the triangles of a level and the surface itself is measured along rows of cells: in those rows of the
 //! most uneven tiles whose samples bend most, and then in the rows beside the worst one, as long as they are worse. A level's
@@ -58,15 +58,19 @@ fn level_errors_m(set: &WorldSet) -> Vec<f64> {
     for level in (0..levels as usize).rev() {
         let next_m = errors.get(level + 1).copied().unwrap_or_default();
         let root = TileKey { level: level as u32, x: 0, y: 0 };
-        let e = set.extent(root);
-        let cell = [e.east - e.west, e.north - e.south].map(|side| side / CELLS as f64);
-        // The height of arcs above their chords, along both sides of a cell.
-        let bulge_m: f64 = cell.iter().map(|side| set.world().radius_m() * side * side / 8.0).sum();
         let below_m = if set.world().has_rivers(set.lattice(root, 0).step_m()) { 0.0 } else { valley_m };
         let measured_m = (MARGIN * measures[level].error_m).min(relief_m) + below_m;
-        errors[level] = (measured_m + bulge_m).max(least_error_m(set, level as u32)).max(RATIO * next_m);
+        errors[level] =
+            (measured_m + bulge_m(set, level as u32)).max(least_error_m(set, level as u32)).max(RATIO * next_m);
     }
     errors
+}
+
+/// Returns the height of arcs above their chords, along both sides of a cell of a level, in metres.
+pub(super) fn bulge_m(set: &WorldSet, level: u32) -> f64 {
+    let e = set.extent(TileKey { level, x: 0, y: 0 });
+    let cell = [e.east - e.west, e.north - e.south].map(|side| side / CELLS as f64);
+    cell.iter().map(|side| set.world().radius_m() * side * side / 8.0).sum()
 }
 
 /// Returns the least error of a level in metres: with a smaller one its images would be replaced too late.
@@ -136,7 +140,7 @@ fn measure(set: &WorldSet, level: u32) -> Measure {
         places.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
         let mut worst = (0.0f64, TileKey { level, x: 0, y: 0 }, 0);
         let mut of_row = |key: TileKey, row: i64, buffers: &mut RowBuffers| {
-            let error_m = row_error_m(set, key, row, buffers);
+            let error_m = row_error_m(set, key, row, [LINES, PLACES], buffers);
             range = both(range, range_m(buffers));
             error_m
         };
@@ -198,8 +202,15 @@ fn unevenness_m(set: &WorldSet, key: TileKey, buffers: &mut RowBuffers) -> f32 {
     buffers.ground.surface_m.windows(2).map(|pair| (pair[1] - pair[0]).abs()).sum()
 }
 
-/// Returns the largest difference between the triangles of a row of cells and the surface, at places along some lines.
-fn row_error_m(set: &WorldSet, key: TileKey, row: i64, buffers: &mut RowBuffers) -> f64 {
+/// Returns the largest difference between the triangles of a row of cells and the surface: along a number of lines, at a number of
+/// places in each cell.
+pub(super) fn row_error_m(
+    set: &WorldSet,
+    key: TileKey,
+    row: i64,
+    [lines, places]: [usize; 2],
+    buffers: &mut RowBuffers,
+) -> f64 {
     let lattice = set.lattice(key, 0);
     let step_m = lattice.step_m();
     let longitudes = meridians((0..=CELLS as i64).map(|k| lattice.longitude(k)));
@@ -210,9 +221,9 @@ fn row_error_m(set: &WorldSet, key: TileKey, row: i64, buffers: &mut RowBuffers)
     let mut random = SplitMix64::new(row as u64 ^ u64::from(key.x) << 32 ^ u64::from(key.y));
     let mut within = || (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
     let mut error = 0.0f32;
-    for line in 0..LINES {
-        let v = (line as f64 + within()) / LINES as f64;
-        let columns: Vec<f64> = (0..CELLS * PLACES).map(|k| (k as f64 + within()) / PLACES as f64).collect();
+    for line in 0..lines {
+        let v = (line as f64 + within()) / lines as f64;
+        let columns: Vec<f64> = (0..CELLS * places).map(|k| (k as f64 + within()) / places as f64).collect();
         let longitudes = meridians(columns.iter().map(|column| lattice.at_longitude(*column)));
         set.world().ground_row_of(&longitudes, lattice.at_latitude(row as f64 + v), step_m, buffers);
         let v = v as f32;

@@ -89,10 +89,11 @@ impl WorldSet {
 
     /// Returns the description of a tile from its key alone.
     pub(super) fn expected(&self, key: TileKey) -> Described {
-        let (error_m, heights_m) = (self.level_errors_m()[key.level as usize], self.bounds_m(key));
+        let heights_m = self.bounds_m(key);
         match self.form.mesh {
-            None => Described { geometric_error_m: error_m, heights_m },
+            None => Described { geometric_error_m: self.estimated_error_m(key), heights_m },
             Some(_) => {
+                let error_m = self.level_errors_m()[key.level as usize];
                 let (distance_m, skirt_m) = (self.tin_limit_m(key.level), self.max_skirt_m(key.level));
                 self.described(key, heights_m, error_m, MeshMeasures { distance_m, skirt_m })
             }

@@ -20,6 +20,7 @@ mod relief;
 mod scatter;
 mod source;
 mod surface;
+mod tile_errors;
 mod tile_form;
 mod tiles;
 mod tileset;

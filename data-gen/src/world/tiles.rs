@@ -1,8 +1,10 @@
 //! A set of tiles of a world: each tile is computed alone from its place, with the same bytes in every program.
 
 use std::f64::consts::PI;
+use std::num::NonZeroUsize;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
+use lru::LruCache;
 use terrane::formats::writers::{write_height_exr, write_packed_heights};
 
 use super::points::{meridians, sin_cos};
@@ -13,6 +15,12 @@ use crate::output::{Look, compress};
 use crate::pyramid::{CELLS, QUANTUM_M};
 use crate::{Extent, GenArgs, GenError, TileKey};
 
+/// The number of estimates of errors that are kept.
+const KEPT_ESTIMATES: usize = 1 << 16;
+
+/// The factor of errors in bounds of heights: what lies outside of its volume may be cut off.
+const BOUNDS_MARGIN: f64 = 1.5;
+
 /// A rectangle of a world as a quadtree of tiles.
 #[derive(Debug)]
 pub struct WorldSet {
@@ -22,6 +30,8 @@ pub struct WorldSet {
     has_scatter: bool,
     pub(super) form: TileForm,
     pub(super) level_errors_m: OnceLock<Vec<f64>>,
+    /// The errors of the tiles that were estimated last, in metres. Locked for moments by the threads that describe tiles.
+    pub(super) estimates: Mutex<LruCache<TileKey, f64>>,
     /// Buffers of the threads that make tiles. Neighbouring tiles have rivers in common, which the buffers keep.
     buffers: Mutex<Vec<RowBuffers>>,
 }
@@ -79,6 +89,7 @@ impl WorldSet {
             has_scatter: false,
             form: TileForm::default(),
             level_errors_m: OnceLock::new(),
+            estimates: Mutex::new(LruCache::new(NonZeroUsize::new(KEPT_ESTIMATES).unwrap_or(NonZeroUsize::MIN))),
             buffers: Mutex::default(),
         }
     }
@@ -297,7 +308,11 @@ impl WorldSet {
                 }
             }
         });
-        let error_m = self.level_errors_m()[(key.level - up) as usize];
+        let above = TileKey { level: key.level - up, x: key.x >> up, y: key.y >> up };
+        let error_m = match self.has_meshes() {
+            true => self.level_errors_m()[above.level as usize],
+            false => BOUNDS_MARGIN * self.estimated_error_m(above),
+        };
         let above_m = if self.has_scatter(key.level) { TALLEST_M } else { 1.0 };
         [f64::from(low_m) - error_m - 1.0, f64::from(high_m) + error_m + above_m]
     }

@@ -10,11 +10,11 @@ use super::points::sin_cos;
 use super::scatter::WIDEST_M;
 use super::tiles::WorldSet;
 use crate::output::{
-    CornerErrors, Entry, SUBTREE_LEVELS, SUBTREES, TileErrors, descendants, subtree, subtree_name, tile_class,
-    undrawn_error_m,
+    CornerErrors, Entry, SUBTREE_LEVELS, SUBTREES, TileErrors, descendants, is_round, subtree, subtree_name,
+    tile_class, undrawn_error_m,
 };
 use crate::pyramid::{CELLS, QUANTUM_M};
-use crate::{GenError, TileKey, body};
+use crate::{Extent, GenError, TileKey, body};
 
 /// The number of levels in a tileset.
 pub(super) const LEVELS_PER_TILESET: u32 = 3;
@@ -51,16 +51,44 @@ impl WorldSet {
         })
     }
 
-    /// Returns the descriptions of tiles that are computed alone.
-    fn alone<'a>(&'a self, of: &'a (dyn Fn(TileKey) -> Described + Sync)) -> Descriptions<'a> {
-        Descriptions { of, level_errors_m: self.level_errors_m(), errors: None }
+    /// Calls with the descriptions of tiles that are computed alone, which need the errors of some tiles. Tiles of the level `end`
+    /// stand for external tilesets, and have a bound of the errors there.
+    fn alone<R>(&self, needed: &[TileKey], end: u32, call: impl FnOnce(&Descriptions<'_>) -> R) -> R {
+        let of = |key: TileKey| match key.level == end && !self.has_meshes() {
+            true => Described { geometric_error_m: self.bound_m(key), heights_m: self.bounds_m(key) },
+            false => self.expected(key),
+        };
+        if self.has_meshes() {
+            return call(&Descriptions { of: &of, level_errors_m: self.level_errors_m(), errors: None });
+        }
+        self.estimate(needed);
+        let error_m = |key: TileKey| Ok(self.estimated_error_m(key));
+        let is_round = is_round(&self.extent(TileKey::ROOT));
+        let errors = TileErrors { error_m: &error_m as &ErrorOf<'_>, first_level: 0, is_round };
+        call(&Descriptions { of: &of, level_errors_m: &self.level_bounds_m(), errors: Some(errors) })
+    }
+
+    /// Returns the tiles of some levels at and below a tile, and those next to them.
+    fn around(&self, root: TileKey, levels: u32) -> Vec<TileKey> {
+        let is_round = is_round(&self.extent(TileKey::ROOT));
+        let of_level = |down: u32| {
+            let (level, count) = (root.level + down, 1i64 << down);
+            let side = 1i64 << level;
+            let beside = move |first: u32| (i64::from(first) << down) - 1..=(i64::from(first) << down) + count;
+            let keys = beside(root.y).flat_map(move |y| beside(root.x).map(move |x| (x, y)));
+            let keys = keys.map(move |(x, y)| (if is_round { x.rem_euclid(side) } else { x }, y));
+            let keys = keys.filter(move |(x, y)| (0..side).contains(x) && (0..side).contains(y));
+            keys.map(move |(x, y)| TileKey { level, x: x as u32, y: y as u32 })
+        };
+        (0..levels).flat_map(of_level).filter(|key| self.contains(*key)).collect()
     }
 
     /// Returns the tileset whose root is a tile. `None` if the tile is not the root of a tileset. It is computed alone: its
-    /// errors are the estimates of levels, and its volumes wider than in the tilesets that a run writes, which measures all
-    /// tiles.
+    /// errors are estimates, and its volumes wider than in the tilesets that a run writes, which measures all tiles.
     pub fn tileset(&self, key: TileKey) -> Option<String> {
-        self.tileset_by(key, &self.alone(&|key| self.expected(key)))
+        self.tileset_path(key)?;
+        let (needed, end) = (self.around(key, LEVELS_PER_TILESET), key.level + LEVELS_PER_TILESET);
+        self.alone(&needed, end, |described| self.tileset_by(key, described))
     }
 
     /// Like [`Self::tileset`], with descriptions of the tiles.
@@ -84,7 +112,7 @@ impl WorldSet {
                 asset["extras"]["terrane"]["above_errors_m"] = json!(above);
             }
         }
-        let error_m = root["geometricError"].as_f64().unwrap_or_default().max(errors_m[level as usize]);
+        let error_m = root["geometricError"].as_f64().unwrap_or_default();
         root["refine"] = "REPLACE".into();
         let mut set_error_m = 2.0 * error_m;
         if level == 0 {
@@ -98,7 +126,7 @@ impl WorldSet {
     /// Returns the tileset of implicit tiling. The trees and rocks of tiles are a second content. It is computed alone, as
     /// [`Self::tileset`].
     pub fn implicit_tileset(&self) -> String {
-        self.implicit_tileset_by(&self.alone(&|key| self.expected(key)))
+        self.alone(&[], u32::MAX, |described| self.implicit_tileset_by(described))
     }
 
     /// Like [`Self::implicit_tileset`], with descriptions of the tiles.
@@ -146,7 +174,10 @@ impl WorldSet {
     /// Returns the name and the bytes of the subtree file whose root is a tile. `None` if the tile is not the root of one. It
     /// is computed alone, as [`Self::tileset`].
     pub fn subtree(&self, root: TileKey) -> Option<(String, Vec<u8>)> {
-        self.subtree_by(root, &self.alone(&|key| self.expected(key)))
+        let is_root = self.contains(root) && root.level.is_multiple_of(SUBTREE_LEVELS);
+        is_root.then(|| {
+            self.alone(&self.around(root, SUBTREE_LEVELS), u32::MAX, |described| self.subtree_by(root, described))
+        })?
     }
 
     /// Like [`Self::subtree`], with descriptions of the tiles.
@@ -171,8 +202,8 @@ impl WorldSet {
     /// Returns a tile and its descendants on the levels before `end`. Their children there are external tilesets.
     fn tile_json(&self, key: TileKey, end: u32, up: &str, described: &Descriptions<'_>) -> Value {
         let Described { geometric_error_m, heights_m } = (described.of)(key);
-        // Trees and rocks at an edge reach over it. Height tiles are placed by their regions, which are theirs alone.
-        let margin_m = if self.has_meshes() && self.has_instances() { WIDEST_M } else { 0.0 };
+        // Trees and rocks at an edge reach over it.
+        let margin_m = if self.has_instances() { WIDEST_M } else { 0.0 };
         let region = self.region(key, heights_m, margin_m);
         let mut tile = json!({ "boundingVolume": { "region": region }, "geometricError": geometric_error_m });
         if key.level == end {
@@ -188,6 +219,11 @@ impl WorldSet {
         }
         if let Some(imagery) = self.form.imagery() {
             tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.{imagery}") } });
+        }
+        if margin_m > 0.0 && !self.has_meshes() {
+            // Height tiles are placed by their regions, unless they name another one.
+            let Extent { west, south, east, north } = self.extent(key);
+            tile["extras"]["terrane"]["region"] = json!([west, south, east, north]);
         }
         if let Some(corner_errors_m) = described.corner_errors_m(key) {
             tile["extras"]["terrane"]["corner_errors_m"] = json!(corner_errors_m);

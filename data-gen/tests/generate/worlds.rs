@@ -138,6 +138,69 @@ fn errors_of_levels_are_never_less_than_measured_and_not_far_above() {
     }
 }
 
+/// Returns the error that a tileset which is computed alone declares of a tile.
+fn declared_m(set: &WorldSet, key: TileKey) -> f64 {
+    let up = key.level % 3;
+    let json: Value =
+        serde_json::from_str(&set.tileset(tile(key.level - up, key.x >> up, key.y >> up)).unwrap()).unwrap();
+    let name = format!("{}/{}/{}.exr", key.level, key.x, key.y);
+    let mut found = None;
+    each_tile(&json["root"], None, &mut |tile, _| {
+        if tile["content"]["uri"].as_str().is_some_and(|uri| uri.ends_with(&name)) {
+            found = tile["geometricError"].as_f64();
+        }
+    });
+    found.unwrap()
+}
+
+/// Tiles of a served planet have errors of their own.
+#[test]
+fn errors_of_served_tiles_are_never_less_than_measured_and_differ() {
+    for preset in WorldPreset::ALL {
+        let set = WorldSet::globe(World::new(preset, 3), 20);
+        let levels = if kit::long_tests() { [0, 2, 4, 6, 8, 10, 12, 15].as_slice() } else { &[1, 6, 11] };
+        for &level in levels {
+            let side = 6_371_000.0 * std::f64::consts::PI / f64::from(64u32 << level);
+            let bulge_m = (1.0 + 4.0) * side * side / 8.0 / 6_371_000.0;
+            let places: &[[f64; 2]] = &[[0.53, 0.71], [0.514, 0.757], [0.21, 0.62], [0.87, 0.44], [0.66, 0.9]];
+            for place in &places[..if kit::long_tests() { places.len() } else { 2 }] {
+                let [x, y] = place.map(|share| (share * f64::from(1u32 << level)) as u32);
+                let key = tile(level, x, y);
+                let measured_m = error_m(&set, key, 2, [1, 2]).max(error_m(&set, key, 3, [5, 3])) + bulge_m;
+                let declared_m = declared_m(&set, key);
+                assert!(measured_m <= declared_m, "{preset:?} {key:?}: {measured_m} m, declared {declared_m} m");
+            }
+        }
+    }
+    // The sea is smoother than mountains.
+    let set = WorldSet::globe(World::new(WorldPreset::Islands, 3), 20);
+    let errors_m: Vec<f64> = (0..24).map(|k| declared_m(&set, tile(9, 21 * k, 10 + 20 * k))).collect();
+    let [low_m, high_m] = [f64::min, f64::max].map(|pick| errors_m.iter().copied().reduce(pick).unwrap());
+    assert!(low_m < 0.2 * high_m, "{errors_m:?}");
+}
+
+/// Regression: rocks at the edge of a height tile lay up to 2 m outside of its volume.
+#[test]
+fn trees_and_rocks_of_height_tiles_lie_in_their_volumes() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut args = bare(&folder.path().join("set"), WorldPreset::Moon, 2_000.0, 3);
+    args.world.scatter = true;
+    run(&args).unwrap();
+    let found = verified(&args.out);
+    assert!(found.contents > 21, "{found:?}");
+    assert_eq!((found.failed, found.problems.len()), (0, 0), "{:?}", found.problems);
+    let set = tileset(&args.out);
+    each_tile(&set["root"], None, &mut |tile, parent| {
+        let own: Vec<f64> =
+            tile["extras"]["terrane"]["region"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
+        let volume = region(tile);
+        assert!(volume[0] < own[0] && volume[1] < own[1] && volume[2] > own[2] && volume[3] > own[3], "{volume:?}");
+        let Some(parent) = parent else { return };
+        let outer = region(parent);
+        assert!(outer[0] <= volume[0] && outer[1] <= volume[1] && outer[2] >= volume[2] && outer[3] >= volume[3]);
+    });
+}
+
 /// Coarse levels of small pieces of land are fine enough for their images, however flat the land is.
 #[test]
 fn errors_of_levels_are_at_least_a_texel() {

@@ -26,6 +26,10 @@ impl Procedural {
         let form = GenArgs { content: args.content, ..GenArgs::new("") };
         let set = WorldSet::globe(World::on(preset, args.seed, args.ellipsoid()), LEVELS).with_form_of(&form);
         let set = if args.scatter { set.with_scatter() } else { set };
+        if set.has_meshes() {
+            // Meshes depend on them. Measured here, they delay the start of the server instead of the first answer.
+            set.level_errors_m();
+        }
         Self { set, tiling: args.tiling, kept: Mutex::default() }
     }
 

@@ -5,7 +5,9 @@ use std::fs;
 use std::path::Path;
 
 use serde_json::Value;
-use terrane_data_gen::{Color, GenArgs, OutputArgs, Tiling, Voids, WorldArgs, WorldPreset, run};
+use terrane_data_gen::{
+    Color, GenArgs, OutputArgs, TileKey, Tiling, Voids, World, WorldArgs, WorldPreset, WorldSet, run,
+};
 
 use crate::files::{each_tile, files_below};
 use crate::tiffs::{Image, Values, tiff};
@@ -161,15 +163,66 @@ fn subtrees_have_the_errors_at_corners() {
         expected.extend(numbers::<4>(&tile["extras"]["terrane"]["corner_errors_m"]).map(|error_m| error_m as f32));
     });
     let bytes = fs::read(corners(Tiling::Implicit, "b").join("subtrees/0/0/0.subtree")).unwrap();
-    let length = u64::from_le_bytes(bytes[8..16].try_into().unwrap()) as usize;
-    let json: Value = serde_json::from_slice(&bytes[24..24 + length]).unwrap();
-    let view = json["propertyTables"][0]["properties"]["cornerErrors"]["values"].as_u64().unwrap() as usize;
-    let number = |name: &str| json["bufferViews"][view][name].as_u64().unwrap() as usize;
-    let values = &bytes[24 + length..][number("byteOffset")..][..number("byteLength")];
-    let mut found: Vec<f32> = values.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+    let mut found = corners_of_subtree(&bytes);
     assert_eq!(found.len(), 4 * 21);
     // The orders of tiles differ.
     found.sort_by(f32::total_cmp);
     expected.sort_by(f32::total_cmp);
     assert_eq!(found, expected);
+}
+
+/// Returns the errors at the corners of the tiles of a subtree.
+fn corners_of_subtree(bytes: &[u8]) -> Vec<f32> {
+    let length = u64::from_le_bytes(bytes[8..16].try_into().unwrap()) as usize;
+    let json: Value = serde_json::from_slice(&bytes[24..24 + length]).unwrap();
+    let view = json["propertyTables"][0]["properties"]["cornerErrors"]["values"].as_u64().unwrap() as usize;
+    let number = |name: &str| json["bufferViews"][view][name].as_u64().unwrap() as usize;
+    let values = &bytes[24 + length..][number("byteOffset")..][..number("byteLength")];
+    values.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
+}
+
+/// Tilesets and subtrees that a server computes alone have the same bytes, whichever is asked for first.
+#[test]
+fn tilesets_that_are_computed_alone_agree_at_their_corners() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = |levels: u32| WorldSet::globe(World::new(WorldPreset::Alps, 3), levels);
+    let (first, second) = (set(4), set(4));
+    let roots: Vec<TileKey> =
+        std::iter::once(TileKey::ROOT).chain((0..64).map(|k| TileKey { level: 3, x: k % 8, y: k / 8 })).collect();
+    let texts: Vec<String> = roots.iter().map(|root| first.tileset(*root).unwrap()).collect();
+    for (root, text) in roots.iter().zip(&texts).rev() {
+        assert!(second.tileset(*root).as_ref() == Some(text), "{root:?}");
+        let path = folder.path().join(first.tileset_path(*root).unwrap());
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, text).unwrap();
+    }
+    assert_eq!(check(folder.path(), true), (85, 64));
+    let mut expected = Vec::new();
+    for text in &texts {
+        let json: Value = serde_json::from_str(text).unwrap();
+        each_tile(&json["root"], None, &mut |tile, _| {
+            let corners_m = &tile["extras"]["terrane"]["corner_errors_m"];
+            if corners_m.is_array() {
+                expected.extend(numbers::<4>(corners_m).map(|error_m| error_m as f32));
+            }
+        });
+    }
+    let mut found = corners_of_subtree(&set(4).subtree(TileKey::ROOT).unwrap().1);
+    found.sort_by(f32::total_cmp);
+    expected.sort_by(f32::total_cmp);
+    assert_eq!(found, expected);
+    // Neighbours far below the root, on both sides of an edge of coarse tiles.
+    let set = set(22);
+    let mut corners: BTreeMap<Key, f64> = BTreeMap::new();
+    for x in [131_071, 131_072] {
+        let json: Value = serde_json::from_str(&set.tileset(TileKey { level: 18, x, y: 180_224 }).unwrap()).unwrap();
+        each_tile(&json["root"], None, &mut |tile, _| {
+            let Some([level, x, y]) = key_of(tile) else { return };
+            let own = numbers::<4>(&tile["extras"]["terrane"]["corner_errors_m"]);
+            for ([east, north], error_m) in [[0, 0], [1, 0], [0, 1], [1, 1]].into_iter().zip(own) {
+                let known = *corners.entry([level, x + east, y + north]).or_insert(error_m);
+                assert_eq!(known, error_m, "{level}/{x}/{y}");
+            }
+        });
+    }
 }

@@ -12,6 +12,10 @@ use terrane_data_gen::{ContentKind, GenArgs, OutputArgs, Tiling, WorldArgs, Worl
 
 use crate::files::{PLACE, SIDE, each_tile, files_below, from_dem, heights, tiff_float32};
 
+/// The metres by which volumes of explicit sets with trees and rocks are wider than those of implicit ones, which are quarters of
+/// each other.
+const WIDER_M: f64 = 12.0;
+
 /// The name of each resident tile with the corners of its volume, and the number of leaves.
 fn drawn(set: &Path, eye: Geodetic) -> (Vec<(String, OrientedBox)>, usize) {
     let mut run = Run::new(set.to_str().unwrap(), PagerConfig::default());
@@ -81,15 +85,19 @@ fn assert_same_tiles(sets: &[(u64, PathBuf); 2]) {
     assert!(errors.len() as u64 == sets[0].0 && errors == implicit_errors(&sets[1].1));
 }
 
-/// Asserts that the same tiles are drawn of two sets, with the same volumes, and returns their names.
-fn assert_drawn_alike(sets: &[(u64, PathBuf); 2], eye: Geodetic) -> Vec<String> {
+/// Asserts that the same tiles are drawn of two sets, with the same volumes to some metres, and returns their names.
+fn assert_drawn_alike(sets: &[(u64, PathBuf); 2], eye: Geodetic, within_m: f64) -> Vec<String> {
     let [explicit, implicit] = sets.each_ref().map(|(_, set)| drawn(set, eye));
     assert!(!explicit.0.is_empty() && explicit.1 > 0);
-    assert_eq!(explicit.1, implicit.1, "{eye:?}");
-    assert_eq!(explicit.0.len(), implicit.0.len());
-    for (a, b) in explicit.0.iter().zip(&implicit.0) {
-        assert!(a.0 == b.0 && a.1.center.distance(b.1.center) < 1e-3, "{a:?} {b:?}");
-        assert!(a.1.half_axes.abs_diff_eq(b.1.half_axes, 1e-3), "{a:?} {b:?}");
+    if within_m < WIDER_M {
+        assert_eq!((explicit.1, explicit.0.len()), (implicit.1, implicit.0.len()), "{eye:?}");
+    }
+    // A wider volume is nearer, so that more may be drawn of an explicit set.
+    for b in &implicit.0 {
+        let a = explicit.0.iter().find(|a| a.0 == b.0);
+        let a = a.unwrap_or_else(|| panic!("{eye:?}: {b:?} is drawn of the implicit set only"));
+        assert!(a.1.center.distance(b.1.center) < within_m, "{a:?} {b:?}");
+        assert!(a.1.half_axes.abs_diff_eq(b.1.half_axes, within_m), "{a:?} {b:?}");
     }
     explicit.0.into_iter().map(|(name, _)| name).collect()
 }
@@ -116,7 +124,7 @@ fn implicit_worlds_are_drawn_like_explicit_ones() {
     assert_same_tiles(&sets);
     let mut rocks = 0;
     for height_m in [-800.0, 1_500.0, 20_000.0] {
-        let names = assert_drawn_alike(&sets, Geodetic { longitude, latitude, height_m });
+        let names = assert_drawn_alike(&sets, Geodetic { longitude, latitude, height_m }, WIDER_M);
         rocks += names.iter().filter(|name| name.ends_with("glb")).count();
     }
     assert!(rocks > 0, "no second contents are seen");
@@ -152,7 +160,7 @@ fn implicit_sets_are_drawn_like_explicit_ones() {
         for height_m in [1_000.0, 40_000.0] {
             let [west, south, east, _] = PLACE.bounds();
             let (longitude, latitude) = (west + 0.15 * (east - west), south + 0.15 * (east - west));
-            let explicit = assert_drawn_alike(&sets, Geodetic { longitude, latitude, height_m });
+            let explicit = assert_drawn_alike(&sets, Geodetic { longitude, latitude, height_m }, 1e-3);
             finest += explicit.iter().filter(|name| name.starts_with(&format!("{}/", levels - 1))).count();
         }
         assert!(finest > 0, "the finest level is seen");
