@@ -467,3 +467,24 @@ fn sample_cases_have_their_colours() {
     assert_eq!([sampling.mag, sampling.min], [FilterMode::Nearest; 2]);
     assert!(sampled.ignored.is_empty(), "{:?}", sampled.ignored);
 }
+
+/// Regression: maps of values were averaged as colours, so that slopes to both sides leaned to one.
+#[test]
+fn maps_of_values_are_averaged_as_they_are() {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    let image = image::RgbaImage::from_fn(2, 1, |x, _| image::Rgba([64 + 128 * x as u8, 128, 238, 255]));
+    image.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+    let map = json!({ "index": 0 });
+    let mut gltf = with_material(json!({
+        "pbrMetallicRoughness": { "baseColorTexture": map, "metallicRoughnessTexture": map },
+        "normalTexture": map, "occlusionTexture": map, "emissiveTexture": map, "emissiveFactor": [1, 1, 1],
+    }));
+    gltf.json["images"][0]["uri"] = data_uri(&bytes.into_inner()).into();
+    let material = gltf.read().mesh().1.material;
+    let model = material.metallic_roughness.unwrap();
+    let mean = |texture: &Option<Arc<Texture>>| texture.as_ref().unwrap().mips[1][0];
+    assert_eq!([mean(&model.normal_map), mean(&model.occlusion_roughness_metallic)], [128; 2]);
+    assert!(model.occlusion_map.is_none(), "one image for both is one map");
+    // Half of the light of 192, and a little of that of 64.
+    assert!([&material.texture, &model.emissive_map].iter().all(|map| (140..150).contains(&mean(map))));
+}

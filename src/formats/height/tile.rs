@@ -10,7 +10,7 @@ use super::tile_data::TileData;
 use super::{exr, packed};
 use crate::fetch::IoError;
 use crate::formats::ignored::Notes;
-use crate::formats::image;
+use crate::formats::image::{self, ImageUse};
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::math::{Aabb, Ellipsoid};
 use crate::scene::{BlockFormats, Drawable, Geometry, HeightTile, Material, Node, Sampling, SharedParts, Texture};
@@ -38,8 +38,9 @@ pub(in crate::formats) fn read(
     let (mut texture, mut shared): (Option<Arc<Texture>>, _) = (None, None);
     // Overlays are composed over the texels.
     let formats = if options.overlays.is_some() { BlockFormats::NONE } else { options.block_formats };
+    let of_imagery = ImageUse::colors(Sampling::default(), formats);
     for (companion, bytes) in companions.into_iter().filter(|(uri, _)| data.imagery.as_ref() == Some(uri)) {
-        let decoded = image::decode_shared(&companion, &bytes?, Sampling::default(), formats, options, notes)?;
+        let decoded = image::decode_shared(&companion, &bytes?, of_imagery, options, notes)?;
         (texture, shared) = (Some(decoded.0), decoded.1);
     }
     let (world_from_tile, tile) = build(&data, &options.ellipsoid, heights, texture);

@@ -7,7 +7,7 @@ use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Lim
 
 use super::dds;
 use super::ktx2::{self, Levels};
-use super::mips::mips;
+use super::mips::{MipFilter, mips};
 use super::rgba::decode_rgb;
 use super::size::{check_area, check_size};
 use super::transcode::MAGIC as KTX2_MAGIC;
@@ -69,17 +69,32 @@ pub(in crate::formats) fn size_of(uri: &str, bytes: &[u8], limits: &Limits) -> R
 /// A texture and, if it is shared between contents, its reference count.
 pub(in crate::formats) type SharedTexture = (Arc<Texture>, Option<Arc<SharedContent>>);
 
-/// Decodes an image, or returns the texture that another content decoded from the same bytes. `formats` are the compressed
-/// formats that it may have; none if the texels are read by the CPU.
+/// What an image is decoded for.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::formats) struct ImageUse {
+    pub sampling: Sampling,
+    /// The compressed formats that the texture may have; none if the texels are read by the CPU.
+    pub formats: BlockFormats,
+    /// How its texels are averaged.
+    pub filter: MipFilter,
+}
+
+impl ImageUse {
+    /// Returns the use of an image with colours.
+    pub(in crate::formats) fn colors(sampling: Sampling, formats: BlockFormats) -> Self {
+        Self { sampling, formats, filter: MipFilter::Srgb }
+    }
+}
+
+/// Decodes an image, or returns the texture that another content decoded from the same bytes.
 pub(in crate::formats) fn decode_shared(
     uri: &str,
     bytes: &[u8],
-    sampling: Sampling,
-    formats: BlockFormats,
+    of: ImageUse,
     options: &ReadOptions,
     notes: &Notes,
 ) -> Result<SharedTexture, IoError> {
-    let limits = &options.limits;
+    let (ImageUse { sampling, formats, filter }, limits) = (of, &options.limits);
     let (format, note) = match FileFormat::of(bytes) {
         Some(FileFormat::Ktx2) => ktx2::choose_format(bytes, formats, limits),
         _ => (TexelFormat::Rgba8, None),
@@ -87,9 +102,11 @@ pub(in crate::formats) fn decode_shared(
     if let Some(note) = note {
         notes.add(note);
     }
-    let decode = || decode(uri, bytes, format, sampling, limits);
+    let decode = || decode(uri, bytes, format, (sampling, filter), limits);
     let shared = match &options.sharing {
-        Some(sharing) => sharing.image(ContentKey::of(&[bytes, &sampling.key(), &[format as u8]]), decode)?,
+        Some(sharing) => {
+            sharing.image(ContentKey::of(&[bytes, &sampling.key(), &[format as u8, filter as u8]]), decode)?
+        }
         None => (decode()?, None),
     };
     if let Some(files) = &options.image_files {
@@ -103,15 +120,15 @@ fn decode(
     uri: &str,
     bytes: &[u8],
     format: TexelFormat,
-    sampling: Sampling,
+    (sampling, filter): (Sampling, MipFilter),
     limits: &Limits,
 ) -> Result<Arc<Texture>, IoError> {
     let levels = match FileFormat::of(bytes) {
-        Some(FileFormat::Raster(format)) => decode_raster(uri, bytes, format, limits)?,
-        Some(FileFormat::Ktx2) => ktx2::decode(uri, bytes, format, limits)?,
+        Some(FileFormat::Raster(format)) => decode_raster(uri, bytes, format, filter, limits)?,
+        Some(FileFormat::Ktx2) => ktx2::decode(uri, bytes, format, filter, limits)?,
         Some(FileFormat::Dds) => {
             let (width, height, texels) = dds::decode(uri, bytes, limits)?;
-            Levels { width, height, levels: mips(width, height, texels) }
+            Levels { width, height, levels: mips(width, height, texels, filter) }
         }
         None => {
             refuse_markup(uri, bytes)?;
@@ -124,7 +141,7 @@ fn decode(
     Ok(texture_of(levels, format, sampling, limits))
 }
 
-/// Returns a texture of RGBA8 texels with its mip levels, halved until its sides are within the limit. Its size was checked
+/// Returns a texture of sRGB colours in RGBA8 with its mip levels, halved until its sides are within the limit. Its size was checked
 /// with [`check_size`].
 pub(in crate::formats) fn texture_of_rgba(
     width: u32,
@@ -133,7 +150,7 @@ pub(in crate::formats) fn texture_of_rgba(
     sampling: Sampling,
     limits: &Limits,
 ) -> Arc<Texture> {
-    let levels = Levels { width, height, levels: mips(width, height, texels) };
+    let levels = Levels { width, height, levels: mips(width, height, texels, MipFilter::Srgb) };
     texture_of(levels, TexelFormat::Rgba8, sampling, limits)
 }
 
@@ -149,7 +166,13 @@ fn texture_of(all: Levels, format: TexelFormat, sampling: Sampling, limits: &Lim
 }
 
 /// Decodes a PNG, JPEG, WebP, GIF (its first picture), BMP or TIFF (its first page) and builds its mip levels.
-fn decode_raster(uri: &str, bytes: &[u8], format: ImageFormat, limits: &Limits) -> Result<Levels, IoError> {
+fn decode_raster(
+    uri: &str,
+    bytes: &[u8],
+    format: ImageFormat,
+    filter: MipFilter,
+    limits: &Limits,
+) -> Result<Levels, IoError> {
     let bad = |e: image::ImageError| IoError::invalid(uri, format!("image: {e}"));
     let mut image_limits = ImageLimits::default();
     image_limits.max_alloc = Some(limits.max_image_bytes.saturating_mul(2));
@@ -169,12 +192,12 @@ fn decode_raster(uri: &str, bytes: &[u8], format: ImageFormat, limits: &Limits) 
     } else {
         DynamicImage::from_decoder(decoder).map_err(bad)?.into_rgba8().into_raw()
     };
-    Ok(Levels { width, height, levels: mips(width, height, pixels) })
+    Ok(Levels { width, height, levels: mips(width, height, pixels, filter) })
 }
 
 /// Decodes the bytes of an image file to a clamped RGBA8 texture. If the decoder panics, only this file fails.
 pub(crate) fn decode_file(uri: &str, bytes: &[u8], limits: &Limits) -> Result<Arc<Texture>, IoError> {
-    guarded(uri, || decode(uri, bytes, TexelFormat::Rgba8, Sampling::default(), limits))
+    guarded(uri, || decode(uri, bytes, TexelFormat::Rgba8, (Sampling::default(), MipFilter::Srgb), limits))
 }
 
 #[cfg(test)]

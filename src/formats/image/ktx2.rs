@@ -6,7 +6,7 @@
 use basisu::{TargetFormat, Transcoder};
 
 use super::block_encoder;
-use super::mips::mips;
+use super::mips::{MipFilter, mips};
 use super::size::check_size;
 use super::transcode::transcode;
 use crate::fetch::{IoError, Limits, about_to_allocate};
@@ -51,7 +51,13 @@ pub(super) fn choose_format(
 
 /// Transcodes a file to a format with all mip levels. Levels that the file lacks are filtered from its last one, as for
 /// other images.
-pub(super) fn decode(uri: &str, bytes: &[u8], format: TexelFormat, limits: &Limits) -> Result<Levels, IoError> {
+pub(super) fn decode(
+    uri: &str,
+    bytes: &[u8],
+    format: TexelFormat,
+    filter: MipFilter,
+    limits: &Limits,
+) -> Result<Levels, IoError> {
     let bad = |reason: &dyn std::fmt::Display| IoError::invalid(uri, format!("KTX2: {reason}"));
     let header = Header::new(bytes).map_err(|reason| bad(&reason))?;
     let (transcoder, first) = open(uri, bytes, &header, limits)?;
@@ -69,7 +75,7 @@ pub(super) fn decode(uri: &str, bytes: &[u8], format: TexelFormat, limits: &Limi
     let mut levels = (first..=last).map(|level| checked(level, format)).collect::<Result<Vec<_>, _>>()?;
     let (width, height) = header.size(last);
     if (width, height) != (1, 1) {
-        let missing = mips(width, height, checked(last, TexelFormat::Rgba8)?).into_iter().skip(1);
+        let missing = mips(width, height, checked(last, TexelFormat::Rgba8)?, filter).into_iter().skip(1);
         for (texels, level) in missing.zip(last + 1..) {
             let (width, height) = header.size(level);
             let encoded = block_encoder::encode(width, height, texels, format);

@@ -1,11 +1,24 @@
-//! Mip levels of RGBA8 images.
+//! Mip levels of RGBA8 images: colours are averaged as light, other values as they are. Decode threads.
 
 use std::sync::OnceLock;
 
 use crate::math::color::{linear_from_srgb, srgb_from_linear};
 
-/// Returns all mip levels, box filtered in linear light.
-pub(in crate::formats) fn mips(width: u32, height: u32, level_0: Vec<u8>) -> Vec<Vec<u8>> {
+/// How the texels of an image are averaged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(in crate::formats) enum MipFilter {
+    /// Colours in sRGB, averaged in linear light.
+    Srgb,
+    /// Values that are linear already: normals, roughness, shares.
+    Linear,
+}
+
+/// Returns all mip levels, box filtered.
+pub(in crate::formats) fn mips(width: u32, height: u32, level_0: Vec<u8>, filter: MipFilter) -> Vec<Vec<u8>> {
+    let halve = match filter {
+        MipFilter::Srgb => halve_srgb,
+        MipFilter::Linear => halve_linear,
+    };
     let (mut w, mut h) = (width as usize, height as usize);
     let mut levels = vec![level_0];
     while w > 1 || h > 1 {
@@ -27,8 +40,22 @@ pub(in crate::formats) fn mips(width: u32, height: u32, level_0: Vec<u8>) -> Vec
     levels
 }
 
-/// Appends the average of two rows, which has half their width. The last pixel of an odd width is ignored.
-fn halve(upper: &[u8], lower: &[u8], into: &mut Vec<[u8; 4]>) {
+/// Appends the average of two rows of linear values, which has half their width. The last pixel of an odd width is ignored.
+fn halve_linear(upper: &[u8], lower: &[u8], into: &mut Vec<[u8; 4]>) {
+    let (upper, lower) = (upper.as_chunks::<8>().0, lower.as_chunks::<8>().0);
+    for i in 0..upper.len().min(lower.len()) {
+        let (a, b) = (&upper[i], &lower[i]);
+        let mut texel = [0; 4];
+        for c in 0..4 {
+            let sum = u32::from(a[c]) + u32::from(a[c + 4]) + u32::from(b[c]) + u32::from(b[c + 4]);
+            texel[c] = ((sum + 2) / 4) as u8;
+        }
+        into.push(texel);
+    }
+}
+
+/// Appends the average of two rows of sRGB colours, as [`halve_linear`]. Alpha is linear.
+fn halve_srgb(upper: &[u8], lower: &[u8], into: &mut Vec<[u8; 4]>) {
     let (to_linear, to_srgb) = srgb_tables();
     let (upper, lower) = (upper.as_chunks::<8>().0, lower.as_chunks::<8>().0);
     // Plain loops, because iterators and closures are slow in the builds of tests.
@@ -75,7 +102,7 @@ mod tests {
         let linear = crate::math::color::linear_from_srgb8;
         for (w, h) in [(6u32, 4u32), (7, 5), (1, 9), (8, 1), (2, 3), (3, 2), (1, 1)] {
             let pixels: Vec<u8> = (0..w * h * 4).map(|i| (i * 89 + i * i * 7) as u8).collect();
-            let levels = mips(w, h, pixels.clone());
+            let levels = mips(w, h, pixels.clone(), MipFilter::Srgb);
             assert_eq!(levels.len() as u32, 32 - w.max(h).leading_zeros());
             let Some(half) = levels.get(1) else { continue };
             let (nw, nh) = ((w / 2).max(1), (h / 2).max(1));
@@ -98,9 +125,19 @@ mod tests {
         }
     }
 
+    /// Regression: normal maps were averaged as colours, so that the mean of two opposite slopes leaned to one side.
+    #[test]
+    fn linear_values_are_averaged_as_they_are() {
+        let slopes = [[64, 128, 238, 0], [192, 128, 238, 255]].concat();
+        for (w, h) in [(2, 1), (2, 2), (4, 3)] {
+            let levels = mips(w, h, slopes.repeat((w * h / 2) as usize), MipFilter::Linear);
+            assert_eq!(levels[1][..4], [128, 128, 238, 128], "{w} x {h}");
+        }
+    }
+
     #[test]
     fn mips_keep_a_flat_colour() {
-        let levels = mips(5, 3, [200, 100, 50, 255].repeat(15));
+        let levels = mips(5, 3, [200, 100, 50, 255].repeat(15), MipFilter::Srgb);
         assert_eq!(levels.len(), 3);
         for level in &levels {
             for p in level.chunks_exact(4) {

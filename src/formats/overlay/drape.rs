@@ -13,7 +13,7 @@ use super::grid::{GeoRectangle, near};
 use super::set::OverlaySet;
 use crate::fetch::{Fetched, Limits};
 use crate::formats::ignored::Notes;
-use crate::formats::image::mips;
+use crate::formats::image::{MipFilter, mips};
 use crate::formats::tile::with_region;
 use crate::math::{BoundingVolume, Ellipsoid};
 use crate::scene::{
@@ -63,7 +63,7 @@ pub(in crate::formats) fn drape_images(
             let own = own.unwrap_or(&white);
             let canvas = set.compose(extent, extent.rectangle, Some(own), images, limits, notes)?;
             let (width, height, texels) = canvas.into_texels();
-            Some(Arc::new(Texture::rgba8(width, height, mips(width, height, texels))))
+            Some(Arc::new(Texture::rgba8(width, height, mips(width, height, texels, MipFilter::Srgb))))
         });
         return;
     }
@@ -80,7 +80,7 @@ pub(in crate::formats) fn drape_images(
     }
     let is_opaque = canvas.is_opaque();
     let (width, height, texels) = canvas.into_texels();
-    let texture = Arc::new(Texture::rgba8(width, height, mips(width, height, texels)));
+    let texture = Arc::new(Texture::rgba8(width, height, mips(width, height, texels, MipFilter::Srgb)));
     let mut places = places.into_iter();
     Draper { texture, area, middle, is_opaque, keeps_reflection: to.keeps_reflection, notes }.node(node, &mut places);
 }

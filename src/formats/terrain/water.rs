@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::formats::image::mips;
+use crate::formats::image::{MipFilter, mips};
 use crate::math::color::srgb_from_linear;
 use crate::scene::{MetallicRoughness, Texture};
 
@@ -70,7 +70,7 @@ impl Water {
             .collect();
         let texels = cells.iter().flat_map(|cell| texels[usize::from(*cell)]).collect();
         let side = SIDE as u32;
-        ([1.0; 4], Some(Arc::new(Texture::rgba8(side, side, mips(side, side, texels)))))
+        ([1.0; 4], Some(Arc::new(Texture::rgba8(side, side, mips(side, side, texels, MipFilter::Srgb)))))
     }
 
     /// Returns the reflection of the tile: water is smooth, land is rough. Land has the same model, so that tiles with and
@@ -87,7 +87,7 @@ impl Water {
                 let texel = |water: &u8| [255, (255.0 * roughness(*water)).round() as u8, 0, 255];
                 let texels = cells.iter().flat_map(texel).collect();
                 let side = SIDE as u32;
-                let map = Texture::rgba8(side, side, mips(side, side, texels));
+                let map = Texture::rgba8(side, side, mips(side, side, texels, MipFilter::Linear));
                 MetallicRoughness { occlusion_roughness_metallic: Some(Arc::new(map)), ..MetallicRoughness::default() }
             }
         }

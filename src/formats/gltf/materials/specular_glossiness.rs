@@ -8,7 +8,7 @@ use std::sync::OnceLock;
 
 use super::texture_ref::TextureRef;
 use crate::formats::ignored::Notes;
-use crate::formats::image::mips;
+use crate::formats::image::{MipFilter, mips};
 use crate::math::color::{linear_from_srgb8, srgb_from_linear};
 use crate::scene::{TexelFormat, Texture};
 
@@ -110,8 +110,8 @@ impl SpecularGlossiness {
             metallic_roughness.extend([255, unorm8(converted.roughness), unorm8(converted.metallic), 255]);
         }
         let kept = if sampling.mip.is_some() { usize::MAX } else { 1 };
-        [base_color, metallic_roughness].map(|pixels| {
-            let mips = mips(width, height, pixels).into_iter().take(kept).collect();
+        [(base_color, MipFilter::Srgb), (metallic_roughness, MipFilter::Linear)].map(|(pixels, filter)| {
+            let mips = mips(width, height, pixels, filter).into_iter().take(kept).collect();
             Texture { width, height, format: TexelFormat::Rgba8, mips, sampling }
         })
     }

@@ -51,7 +51,7 @@ impl<'a> Surfaces<'a> {
             return Ok(Some((base_color, None)));
         }
         match surface.texture {
-            Some(of) => self.textures.get(of.texture, TexelReader::Adapter, buffers),
+            Some(of) => self.textures.get(of.texture, TexelReader::Colors, buffers),
             None => Ok(None),
         }
     }
@@ -93,12 +93,14 @@ impl<'a> Surfaces<'a> {
     ) -> Result<DecodedReflection, IoError> {
         let converted =
             surface.converted.as_ref().map(|material| self.converted_maps(material, buffers)).transpose()?;
-        let mut get = |map: Option<TextureRef>| match map {
-            Some(map) => self.textures.get(map.texture, TexelReader::Adapter, buffers).map(Option::unzip),
+        let mut read = |map: Option<TextureRef>, reader: TexelReader| match map {
+            Some(map) => self.textures.get(map.texture, reader, buffers).map(Option::unzip),
             None => Ok((None, None)),
         };
+        let (emissive_map, shared_emissive) = read(of.emissive_map, TexelReader::Colors)?;
+        let (specular_map, shared_specular) = read(of.layers.specular_map, TexelReader::Colors)?;
+        let mut get = |map| read(map, TexelReader::Values);
         let (normal_map, shared_normal) = get(of.normal)?;
-        let (emissive_map, shared_emissive) = get(of.emissive_map)?;
         // Without its image the whole surface would glow.
         let emissive = if of.emissive_map.is_some() && emissive_map.is_none() { [0.0; 3] } else { of.emissive };
         let (metallic_map, shared_metallic) = match converted {
@@ -116,7 +118,6 @@ impl<'a> Surfaces<'a> {
             (occlusion_map, shared_occlusion) = (None, None);
         }
         let layers = &of.layers;
-        let (specular_map, shared_specular) = get(layers.specular_map)?;
         let (coat_map, shared_coat) = get(layers.coat_map)?;
         let (coat_normal, shared_coat_normal) = get(layers.coat_normal)?;
         let model = MetallicRoughness {

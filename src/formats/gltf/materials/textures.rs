@@ -9,7 +9,7 @@ use crate::fetch::{IoError, Limits};
 use crate::formats::gltf::accessors::Buffers;
 use crate::formats::gltf::context::Context;
 use crate::formats::gltf::external::data_uri;
-use crate::formats::image::{SharedTexture, decode_shared};
+use crate::formats::image::{ImageUse, MipFilter, SharedTexture, decode_shared};
 use crate::formats::options::ReadOptions;
 use crate::scene::{BlockFormats, Sampling, Texture};
 use crate::state::{FilterMode, WrapMode};
@@ -37,8 +37,10 @@ struct ImageKey {
 /// The reader of an image's texels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum TexelReader {
-    /// The adapter, which samples compressed formats.
-    Adapter,
+    /// The adapter, which samples compressed formats of sRGB colours.
+    Colors,
+    /// The adapter, which samples compressed formats of linear values, such as normals.
+    Values,
     /// The CPU, which converts RGBA8.
     Cpu,
     /// The CPU, which reads ids or values from the texels of level 0.
@@ -154,14 +156,19 @@ impl<'a> Textures<'a> {
 
     fn decode_bytes(&self, uri: &str, bytes: &[u8], key: &ImageKey) -> Result<SharedTexture, IoError> {
         let Context { options, notes, .. } = self.context;
+        let of = |formats| ImageUse::colors(key.sampling, formats);
         match key.reader {
-            TexelReader::Adapter => decode_shared(uri, bytes, key.sampling, options.block_formats, options, notes),
-            TexelReader::Cpu => decode_shared(uri, bytes, key.sampling, BlockFormats::NONE, options, notes),
+            TexelReader::Colors => decode_shared(uri, bytes, of(options.block_formats), options, notes),
+            TexelReader::Values => {
+                let of = ImageUse { filter: MipFilter::Linear, ..of(options.block_formats) };
+                decode_shared(uri, bytes, of, options, notes)
+            }
+            TexelReader::Cpu => decode_shared(uri, bytes, of(BlockFormats::NONE), options, notes),
             TexelReader::Data => {
                 // A smaller image would have means of ids.
                 let limits = Limits { max_image_side_px: u32::MAX, ..options.limits };
                 let options = ReadOptions { limits, sharing: None, ..(*options).clone() };
-                decode_shared(uri, bytes, key.sampling, BlockFormats::NONE, &options, notes)
+                decode_shared(uri, bytes, of(BlockFormats::NONE), &options, notes)
             }
         }
     }

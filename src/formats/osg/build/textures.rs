@@ -9,7 +9,7 @@ use super::units::MAX_UNITS;
 use super::{Builder, Source};
 use crate::fetch::{IoError, Limits};
 use crate::formats::external_files::ExternalFiles;
-use crate::formats::image::{self, BlockKind, SharedTexture};
+use crate::formats::image::{self, BlockKind, ImageUse, SharedTexture};
 use crate::formats::osg::file_names::escaped;
 use crate::formats::osg::objects::{
     AttributeObject, ImageData, ImageObject, NodeClass, NodeObject, Object, RawImage, StateObject, TextureObject,
@@ -197,7 +197,7 @@ impl Builder<'_> {
                 let shared = (image::texture_of_rgba(width, height, texels, sampling, &options.limits), None);
                 return Ok(Some(BuiltTexture { shared, starts_at_bottom: true }));
             }
-            let shared = image::decode_shared(uri, bytes, sampling, formats, options, notes)?;
+            let shared = image::decode_shared(uri, bytes, ImageUse::colors(sampling, formats), options, notes)?;
             Ok(Some(BuiltTexture { shared, starts_at_bottom: image::is_dds(bytes) }))
         };
         match &object.data {

@@ -82,13 +82,18 @@ impl Images {
             Some("image/webp") => Some("EXT_texture_webp"),
             _ => None,
         };
-        self.textures.push(match extension {
+        let written = match extension {
             Some(name) => json!({ "sampler": sampler, "extensions": { name: { "source": source } } }),
             None => json!({ "sampler": sampler, "source": source }),
-        });
+        };
         self.extensions.extend(extension.filter(|name| !self.extensions.contains(name)));
-        self.known.insert(key, self.textures.len() - 1);
-        Ok(self.textures.len() - 1)
+        // An image that is read as colours and as values is two textures here, and one in the file.
+        let index = self.textures.iter().position(|known| *known == written).unwrap_or_else(|| {
+            self.textures.push(written);
+            self.textures.len() - 1
+        });
+        self.known.insert(key, index);
+        Ok(index)
     }
 
     /// Adds the lists to a document.
