@@ -200,7 +200,7 @@ fn decode_all(content: Content, options: &ReadOptions) -> Result<Decoded, IoErro
 fn read_node(content: Content, options: &ReadOptions, notes: &Notes) -> Result<Node, IoError> {
     let Content { uri, bytes, reader_data, companions } = content;
     if let Some(part) = reader_data.as_ref().and_then(|data| data.value::<SubtreePart>()) {
-        return Ok(node_of(part.read(options)));
+        return part.read(options).map(node_of);
     }
     if let Some(source) = reader_data.as_ref().and_then(|data| data.value::<SubtreeSource>()) {
         let bytes = encoding::gunzip(&uri, bytes, &options.limits)?;

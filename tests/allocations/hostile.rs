@@ -13,26 +13,30 @@ use terrane::scene::Node;
 use super::peak_bytes;
 
 /// The budget of one content in these tests.
-const BUDGET: u64 = 4 << 20;
+pub(super) const BUDGET: u64 = 4 << 20;
 /// The bytes that a decoder may hold beside the budget: its input once more, tables of decompressors, and a list that has grown.
-const SLACK: u64 = 2 << 20;
+pub(super) const SLACK: u64 = 2 << 20;
 
-fn options(max_content_bytes: u64) -> ReadOptions {
+pub(super) fn options(max_content_bytes: u64) -> ReadOptions {
     ReadOptions::for_root("/set/tileset.json", Limits { max_content_bytes, ..Limits::default() })
 }
 
-fn content(uri: &str, bytes: Vec<u8>) -> Content {
+pub(super) fn content(uri: &str, bytes: Vec<u8>) -> Content {
     Content { uri: uri.into(), bytes, reader_data: None, companions: Vec::new() }
 }
 
 /// Decodes a file with the budget. It must fail by it, and not hold more than it, although it takes more without it.
-fn assert_refused(name: &str, uri: &str, bytes: Vec<u8>) {
+pub(super) fn assert_refused(name: &str, uri: &str, bytes: Vec<u8>) {
     assert_refused_within(BUDGET + SLACK, name, uri, bytes);
 }
 
 fn assert_refused_within(most: u64, name: &str, uri: &str, bytes: Vec<u8>) {
-    let input = bytes.len() as u64;
-    let (free, within) = (content(uri, bytes.clone()), content(uri, bytes));
+    assert_content_refused(most, name, content(uri, bytes));
+}
+
+/// As [`assert_refused`], for any content and any maximum of bytes at once.
+pub(super) fn assert_content_refused(most: u64, name: &str, within: Content) {
+    let (input, uri, free) = (within.bytes.len() as u64, within.uri.clone(), within.clone());
     let (_, unlimited) = peak_bytes(|| drop(decode(free, &options(u64::MAX))));
     println!("{name}: {input} bytes become {unlimited} at once");
     assert!(unlimited > most + input, "{name}: {unlimited} bytes without a budget are not hostile");

@@ -9,6 +9,7 @@ mod cull;
 mod draw;
 mod frame;
 mod hostile;
+mod hostile_compressed;
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::{Cell, RefCell};

@@ -12,7 +12,7 @@ use super::coordinates::{LocalTile, TileCoordinates};
 use super::semantics::VolumeOverrides;
 use super::subtree::{Subtree, external_buffers};
 use super::tiling::ImplicitTiling;
-use crate::fetch::IoError;
+use crate::fetch::{ContentTooLarge, IoError, about_to_allocate};
 use crate::formats::height::PlacedErrors;
 use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
@@ -23,6 +23,8 @@ use crate::scene::{Metadata, ReaderData, ReaderValue, Refine, TileMetadata};
 /// The maximum of tiles of a page: about 2 ms of a decode thread, since the first tiles are waited for. A page has at least
 /// one level.
 const MAX_TILES: u64 = 1024;
+/// About the bytes of a tile, and of each of its contents, with names and until the page is built.
+const TILE_BYTES: u64 = 1024;
 
 /// A subtree file that is not read yet. The reader data of a tile whose content it is.
 #[derive(Clone, Debug)]
@@ -87,6 +89,7 @@ impl SubtreeSource {
         let mut reader = PartReader::new(Arc::new(subtree), true, options);
         let root = LocalTile::root(self.root);
         reader.choose_levels(vec![root], MAX_TILES);
+        reader.ask(&[root]).map_err(|error| error.at(uri))?;
         Ok(vec![reader.tile(root, self.above)])
     }
 
@@ -103,11 +106,12 @@ impl SubtreeSource {
 
 impl SubtreePart {
     /// Returns the tiles below the parent with some of their levels.
-    pub fn read(&self, options: &ReadOptions) -> Vec<Tile> {
+    pub fn read(&self, options: &ReadOptions) -> Result<Vec<Tile>, IoError> {
         let mut reader = PartReader::new(self.subtree.clone(), false, options);
         let tiles = reader.children(self.parent);
         reader.choose_levels(tiles.clone(), MAX_TILES);
-        tiles.into_iter().map(|tile| reader.tile(tile, Some(self.above))).collect()
+        reader.ask(&tiles).map_err(|error| error.at(&self.subtree.uri))?;
+        Ok(tiles.into_iter().map(|tile| reader.tile(tile, Some(self.above))).collect())
     }
 
     fn content(self) -> TileContent {
@@ -222,6 +226,20 @@ impl PartReader {
             levels += 1;
             tiles = below;
         }
+    }
+
+    /// Asks for the memory of tiles with their contents and the levels below them down to the last one. A small file can name
+    /// thousands of contents for each tile.
+    fn ask(&self, tiles: &[LocalTile]) -> Result<(), ContentTooLarge> {
+        for tile in tiles {
+            let numbers = 0..self.subtree.tiling.shape.contents;
+            let contents = numbers.filter(|number| self.subtree.subtree.has_content(*tile, *number)).count() as u64;
+            about_to_allocate(TILE_BYTES * (1 + contents))?;
+            if tile.level < self.last_level {
+                self.ask(&self.children(*tile))?;
+            }
+        }
+        Ok(())
     }
 
     /// Returns a tile with the levels below it down to the last one. `above` is `None` for the root of the tree.

@@ -1,10 +1,10 @@
 //! The extension `3DTILES_draco_point_compression`: columns of a feature table that Draco has compressed. Decode threads.
 
-use draco_core::{DecodeLimits, DecoderBuffer, PointAttribute, PointCloud, PointCloudDecoder};
+use draco_core::{DecodeLimits, DecoderBuffer, ErrorKind, PointAttribute, PointCloud, PointCloudDecoder};
 use glam::Vec3;
 use serde::Deserialize;
 
-use crate::fetch::{IoError, content_bytes_left};
+use crate::fetch::{IoError, about_to_allocate, content_bytes_left};
 
 /// The maximum bytes of one point: position, normal, colour, batch id, and some properties of the batch table.
 const MAX_POINT_BYTES: u64 = 512;
@@ -47,7 +47,13 @@ impl DracoPoints {
         limits.max_decoded_bytes = (count as u64).saturating_mul(MAX_POINT_BYTES).min(content_bytes_left());
         let mut buffer = DecoderBuffer::new(bytes).with_limits(limits);
         let mut cloud = PointCloud::new();
-        PointCloudDecoder::new().decode(&mut buffer, &mut cloud).map_err(|error| bad(&error.to_string()))?;
+        if let Err(error) = PointCloudDecoder::new().decode(&mut buffer, &mut cloud) {
+            // The budget of the content was the limit, which has a better error.
+            if error.kind() == ErrorKind::LimitExceeded && limits.max_decoded_bytes == content_bytes_left() {
+                about_to_allocate(limits.max_decoded_bytes.saturating_add(1)).map_err(|error| error.at(uri))?;
+            }
+            return Err(bad(&error.to_string()));
+        }
         if cloud.num_points() != count {
             return Err(bad(&format!("{} points, POINTS_LENGTH is {count}", cloud.num_points())));
         }

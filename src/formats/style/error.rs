@@ -13,6 +13,14 @@ pub enum StyleError {
         /// The maximum size.
         max: usize,
     },
+    /// The JSON would take too much memory.
+    #[error("{uri}: the style is too large: {reason}")]
+    TooLarge {
+        /// The address of the style.
+        uri: String,
+        /// The memory that it would take, and the limit.
+        reason: String,
+    },
     /// The file is not a JSON object.
     #[error("{uri}: the style is not a JSON object: {reason}")]
     Json {

@@ -11,11 +11,14 @@ use super::look::Look;
 use super::parser::{self, Names};
 use super::subject::{Point, Subject};
 use super::value::{Value, Vector};
+use crate::fetch::Limits;
 use crate::formats::ignored::Notes;
 use crate::scene::{Feature, PropertyValue};
 
 /// The maximum size of a style in bytes. Styles that list features by their ids are long.
 const MAX_STYLE_BYTES: usize = 8 << 20;
+/// The maximum memory of a style's JSON in bytes. Eight megabytes of conditions take a quarter of it.
+const MAX_JSON_BYTES: u64 = 256 << 20;
 /// The variable of CesiumJS that changes with time. Contents are styled once, when they are decoded.
 const TIME: &str = "tiles3d_tileset_time";
 /// The types of a member with an expression.
@@ -41,12 +44,16 @@ impl Style {
     /// Reads a style. `uri` is its address, for errors. Members that are unknown, functions that are unknown and members
     /// that are `null` have no effect.
     ///
-    /// Fails if the JSON or an expression is invalid, or if the style is larger than 8 MiB.
+    /// Fails if the JSON or an expression is invalid, or if the style is larger than 8 MiB, or 256 MiB when its JSON is parsed.
     pub fn from_json(uri: &str, bytes: &[u8]) -> Result<Self, StyleError> {
         if bytes.len() > MAX_STYLE_BYTES {
             return Err(StyleError::TooLong { uri: uri.to_owned(), bytes: bytes.len(), max: MAX_STYLE_BYTES });
         }
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+        let limits = Limits { max_json_bytes: MAX_JSON_BYTES, ..Limits::default() };
+        limits
+            .check_json(uri, bytes)
+            .map_err(|error| StyleError::TooLarge { uri: uri.to_owned(), reason: error.reason() })?;
         let json: Map<String, Json> = serde_json::from_slice(bytes)
             .map_err(|error| StyleError::Json { uri: uri.to_owned(), reason: error.to_string() })?;
         let mut reader = Reader { uri, json: &json, defines: BTreeMap::new(), names: Names::default() };

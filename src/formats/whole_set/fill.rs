@@ -455,7 +455,11 @@ impl Fill<'_> {
                 let ellipsoid = self.ellipsoid;
                 let options =
                     ReadOptions { root, ellipsoid, ..ReadOptions::for_root(&content.uri, self.options.limits) };
-                part.read(&options).iter().map(|tile| self.add_tile(tile, position)).sum()
+                let tiles = part.read(&options).unwrap_or_else(|error| {
+                    self.fail(&error);
+                    Vec::new()
+                });
+                tiles.iter().map(|tile| self.add_tile(tile, position)).sum()
             }
             Known::Terrain(_) if content.is_in_memory() => {
                 let read = ReadFile { bytes: Vec::new(), location: None, companions: &[] };

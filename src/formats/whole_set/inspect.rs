@@ -226,15 +226,12 @@ impl Walk<'_> {
 
     /// Adds a content of a tile, or the tiles of a part of the tree whose first level is `level`.
     fn content(&mut self, content: &TileContent, level: u32, at: &At<'_>) -> bool {
-        let tiles = match Known::of(content) {
+        let read = match Known::of(content) {
             Known::Part(part) => part.read(at.options),
             Known::Subtree(source) => {
                 let tiles = read_subtree(self.from, content, source, at.options, &mut self.info.bytes);
                 self.info.subtrees += 1;
-                tiles.unwrap_or_else(|error| {
-                    self.info.fail(&error);
-                    Vec::new()
-                })
+                tiles
             }
             Known::Refused(error) => {
                 self.info.fail(error);
@@ -248,6 +245,10 @@ impl Walk<'_> {
             }
             Known::File => return self.file(content, level, at),
         };
+        let tiles = read.unwrap_or_else(|error| {
+            self.info.fail(&error);
+            Vec::new()
+        });
         tiles.iter().all(|tile| self.tile(tile, level, at))
     }
 

@@ -6,7 +6,9 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use draco_core::{DataType as DracoType, DecodeLimits, DecoderBuffer, Mesh, MeshDecoder, PointAttribute, PointIndex};
+use draco_core::{
+    DataType as DracoType, DecodeLimits, DecoderBuffer, ErrorKind, Mesh, MeshDecoder, PointAttribute, PointIndex,
+};
 use gltf::accessor::DataType;
 use gltf::mesh::Semantic;
 use serde_json::{Map, Value};
@@ -69,6 +71,10 @@ impl<'a> Compressed<'a> {
         let mut mesh = Mesh::new();
         let mut buffer = DecoderBuffer::new(bytes).with_limits(limits);
         if let Err(error) = MeshDecoder::new().decode(&mut buffer, &mut mesh) {
+            // The budget of the content was the limit, which has a better error.
+            if error.kind() == ErrorKind::LimitExceeded && limits.max_decoded_bytes == content_bytes_left() {
+                context.budget.ask(limits.max_decoded_bytes.saturating_add(1))?;
+            }
             // The extension may be optional: the accessors then have plain data.
             return match primitive.get(&Semantic::Positions).and_then(|positions| positions.view()) {
                 Some(_) => {
