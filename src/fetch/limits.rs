@@ -70,6 +70,16 @@ impl Limits {
         Ok(())
     }
 
+    /// Fails with [`IoError::TooLarge`] if the files of a content have more than [`Self::max_content_bytes`] together. `uri` is
+    /// that of the content.
+    pub(crate) fn check_files_of_content(&self, uri: &str, got: u64) -> Result<(), IoError> {
+        let (what, limit) = (FILES_OF_CONTENT, self.max_content_bytes);
+        if got > limit {
+            return Err(IoError::TooLarge { uri: uri.to_owned(), what, got, limit });
+        }
+        Ok(())
+    }
+
     /// Fails with [`IoError::TooLarge`] if a JSON document would take more memory than [`Self::max_json_bytes`]. Reads the text
     /// without allocating, so that it comes before any parser: three bytes of text can become hundreds in memory. Text that is
     /// no JSON passes; its parser stops at the first error.
@@ -104,6 +114,8 @@ impl Limits {
     }
 }
 
+/// Names the limit of the files of a content in errors.
+const FILES_OF_CONTENT: &str = "the files of one content together in bytes (--max-content raises the limit)";
 /// An upper limit of the bytes that a parsed object takes without its members. It is twice the size of the largest structure
 /// that a reader parses an object into: a growing list has room for as many again.
 pub(crate) const JSON_OBJECT_BYTES: u64 = 2048;

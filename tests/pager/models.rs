@@ -209,3 +209,50 @@ fn shared_images_are_requested_once() {
     let files = ["tree.bin", "bark.png", "moss.png"].len();
     assert_eq!((run.stage.leaf_count(), server.count()), (TILES, 1 + TILES + files));
 }
+
+/// Each file of the content is within the limit of files, and all together are beyond that of a content.
+#[test]
+fn files_of_a_content_are_bounded_together() {
+    // More than the megabyte that a load reserves before it.
+    const FILE_BYTES: usize = 2 << 20;
+    let files = || {
+        let with_zeros = |mut bytes: Vec<u8>| {
+            bytes.resize(FILE_BYTES, 0);
+            bytes
+        };
+        let triangle = floats(&[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0]);
+        [
+            ("tileset.json", TILESET.replace("a/trees.i3dm", "tree.gltf").into_bytes()),
+            ("tree.gltf", MODEL.into()),
+            ("tree.bin", with_zeros(triangle)),
+            ("bark.png", with_zeros(bark())),
+        ]
+    };
+    let server = Server::start(move |request| {
+        let name = request.path().rsplit('/').next().unwrap_or_default();
+        let found = files().into_iter().find(|(file, _)| *file == name);
+        found.map_or(Reply::new(404, ""), |(_, bytes)| Reply::ok(bytes))
+    });
+    let folder = tempfile::tempdir().unwrap();
+    for (name, bytes) in files() {
+        std::fs::write(folder.path().join(name), bytes).unwrap();
+    }
+    let sources =
+        [format!("{}/set/tileset.json", server.url), folder.path().join("tileset.json").display().to_string()];
+    for source in sources {
+        for (max_content_bytes, fits) in [(FILE_BYTES as u64 * 3 / 2, false), (FILE_BYTES as u64 * 3, true)] {
+            let limits = Limits { max_content_bytes, ..Limits::default() };
+            let mut run = Run::new(&source, PagerConfig { limits, ..PagerConfig::default() });
+            run.settle(above(30.0));
+            assert_eq!(run.stage.leaf_count(), usize::from(fits), "{source}");
+            let reasons: Vec<_> = run.pager.errors().iter().map(|error| error.reason.clone()).collect();
+            let is_told = |reason: &std::sync::Arc<str>| reason.contains("the files of one content together");
+            assert!(reasons.len() == usize::from(!fits) && reasons.iter().all(is_told), "{source}: {reasons:?}");
+            // The image is the file beyond the limit.
+            let verified = verify(&source, &limits, &mut |_| {}).unwrap();
+            let missing: Vec<_> = verified.ignored.iter().map(|(kind, _)| kind.clone()).collect();
+            let is_missing = missing.iter().any(|kind| kind.contains("external image that is missing"));
+            assert_eq!(is_missing, !fits, "{source}: {missing:?}");
+        }
+    }
+}

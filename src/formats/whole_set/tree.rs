@@ -81,10 +81,17 @@ pub(in crate::formats) fn read_companions(
         companions.push((other, read));
     }
     options.companion_bases = bases.into();
+    let of = |read: &Result<Vec<u8>, IoError>| read.as_ref().map_or(0, |bytes| bytes.len() as u64);
+    let mut got = bytes.len() as u64 + companions.iter().map(|(_, read)| of(read)).sum::<u64>();
+    let limits = options.limits;
     let mut read_all = |others: Vec<Arc<str>>, companions: &mut Vec<Fetched>| {
         for other in others {
-            let read = from.read(&other).inspect(|read| *bytes_read += read.len() as u64);
-            companions.push((other, read));
+            // What is beyond the limit is missing, with its reason.
+            let read = limits.check_files_of_content(uri, got).and_then(|()| from.read(&other));
+            got += of(&read);
+            *bytes_read += of(&read);
+            let within = read.and_then(|bytes| limits.check_files_of_content(uri, got).map(|()| bytes));
+            companions.push((other, within));
         }
     };
     for _ in 0..MAX_DEPENDENCY_ROUNDS {

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
-use super::job::{LoadJob, LoadedBytes, files_too_large, total_bytes};
+use super::job::{LoadJob, LoadedBytes, total_bytes};
 use super::request_list::RequestList;
 use super::thread_set::{ThreadSet, follow_core};
 use crate::fetch::{ByteBudget, FileReader, IoError, Loaded, Permit};
@@ -219,8 +219,8 @@ impl<J: LoadJob> FileThreads<J> {
                 let bytes = self.read(id, job, &uri)?;
                 got += bytes.as_ref().map_or(0, Vec::len) as u64;
                 companions.push((uri, bytes));
-                if got > limits.max_content_bytes {
-                    return Ok(Err(files_too_large(job.address(), got, limits)));
+                if let Err(error) = limits.check_files_of_content(job.address(), got) {
+                    return Ok(Err(error));
                 }
             }
             uris = job.dependencies(content, companions);

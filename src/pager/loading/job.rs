@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::request::Request;
-use crate::fetch::{ContentMemory, IoError, Limits, Loaded, Permit, RootScope};
+use crate::fetch::{ContentMemory, IoError, Loaded, Permit, RootScope};
 use crate::formats::Fetched;
 #[cfg(feature = "http")]
 use crate::pager::scenes::shared_files::SharedFiles;
@@ -116,12 +116,6 @@ pub(in crate::pager) struct Answer<J: LoadJob> {
     pub bytes_http: u64,
     /// The memory of the content in the budget of contents; `None` if there is none.
     pub memory: Option<ContentMemory>,
-}
-
-/// Returns the error of a content whose files are larger than one content may be.
-pub(super) fn files_too_large(uri: &str, got: u64, limits: &Limits) -> IoError {
-    let what = "the files of one content together in bytes (--max-content raises the limit)";
-    IoError::TooLarge { uri: uri.to_owned(), what, got, limit: limits.max_content_bytes }
 }
 
 /// Returns the number of bytes of a content and its companions.

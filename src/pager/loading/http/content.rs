@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use tokio::task::JoinSet;
 
-use super::super::job::{LoadJob, LoadedBytes, files_too_large, total_bytes};
+use super::super::job::{LoadJob, LoadedBytes, total_bytes};
 use super::super::server_limits::Outcome;
 use crate::fetch::{
     ByteBudget, FileReader, HttpBody, IoError, Limits, Loaded, NoRoom, Permit, guarded, is_remote, server,
@@ -40,15 +40,16 @@ pub(super) async fn fetch<J: LoadJob>(job: J, reading: &Reading) -> Fetched<J> {
         let request = ContentRequest { job: job.clone(), reading: reading.clone(), permit };
         match request.fetch().await {
             Ok(fetched) => return fetched,
-            Err(NoRoom { needed }) if needed > reading.limits.max_content_bytes => {
-                job.mark_decoding();
-                let error = files_too_large(job.address(), needed, &reading.limits);
-                return (LoadedBytes::failed(job, error), Vec::new());
-            }
-            Err(NoRoom { needed }) => {
-                job.forget_ahead();
-                bytes = needed;
-            }
+            Err(NoRoom { needed }) => match reading.limits.check_files_of_content(job.address(), needed) {
+                Ok(()) => {
+                    job.forget_ahead();
+                    bytes = needed;
+                }
+                Err(error) => {
+                    job.mark_decoding();
+                    return (LoadedBytes::failed(job, error), Vec::new());
+                }
+            },
         }
     }
 }
