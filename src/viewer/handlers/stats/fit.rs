@@ -21,10 +21,16 @@ pub(super) struct Layout {
 }
 
 /// Returns the best layout that fits; the smallest when none fits. `tables` holds the widths of names and values per point of
-/// text size, `line_height` gives the height of a line for a text size.
-pub(super) fn layout(room: Vec2, has_phases: bool, tables: &[Vec<Vec2>], line_height: impl Fn(f32) -> f32) -> Layout {
+/// text size, `lines` is the number of lines below them, `line_height` gives the height of a line for a text size.
+pub(super) fn layout(
+    room: Vec2,
+    has_phases: bool,
+    (tables, lines): (&[Vec<Vec2>], usize),
+    line_height: impl Fn(f32) -> f32,
+) -> Layout {
     let fits = |layout: &Layout| {
-        let size = size_of(*layout, line_height(layout.text), room.x, has_phases, tables);
+        let line = line_height(layout.text);
+        let size = size_of(*layout, line, room.x, has_phases, tables) + Vec2::new(0.0, lines as f32 * line);
         size.x <= room.x && size.y <= room.y
     };
     let [.., (text, chart)] = TEXTS;

@@ -7,7 +7,7 @@ use egui::{Color32, FontId, RichText, Ui, Vec2};
 use super::fit::{COLUMN_GAP, Layout, layout};
 use super::phases::PHASES;
 use super::selection::{RECENT_FRAMES, StatsPage};
-use super::tables::{Cell, drawing, images, pager};
+use super::tables::{Cell, drawing, images, left_out, pager};
 use crate::viewer::{FrameStats, GuiActionAdapter, Samples};
 
 /// The margin around the page and inside its frame, points.
@@ -21,19 +21,26 @@ pub(super) fn lay_out(ui: &egui::Context, viewer: &GuiActionAdapter<'_>, page: S
     if matches!(page, StatsPage::Drawing | StatsPage::Pager) {
         tables.extend(drawing(&recent));
     }
+    let mut lines = Vec::new();
     if page == StatsPage::Pager {
         tables.extend(images(viewer));
         tables.extend(pager(viewer));
+        lines.extend(viewer.pager().map(|pager| left_out(pager.ignored().iter())).into_iter().flatten());
     }
-    show(ui, &recent, page != StatsPage::FrameRate, &tables);
+    show(ui, &recent, page != StatsPage::FrameRate, (&tables, &lines));
 }
 
-/// Shows a page; returns its rectangle, and whether all of it is visible without scrolling.
-fn show(ui: &egui::Context, recent: &[&FrameStats], has_phases: bool, tables: &[Vec<Cell>]) -> (egui::Rect, bool) {
+/// Shows a page of tables, and lines below them that are cut at the width of the page; returns its rectangle, and whether all of it is visible without scrolling.
+fn show(
+    ui: &egui::Context,
+    recent: &[&FrameStats],
+    has_phases: bool,
+    (tables, lines): (&[Vec<Cell>], &[String]),
+) -> (egui::Rect, bool) {
     let room = ui.content_rect().size() - Vec2::splat(4.0 * MARGIN + 2.0);
     let room = Vec2::new(room.x.min(MAX_WIDTH), room.y);
     let sizes: Vec<Vec<Vec2>> = tables.iter().map(|cells| widths(ui, cells)).collect();
-    let layout = layout(room, has_phases, &sizes, |text| line_height(ui, text));
+    let layout = layout(room, has_phases, (&sizes, lines.len()), |text| line_height(ui, text));
     let frame = egui::Frame::window(&ui.global_style()).inner_margin(MARGIN).shadow(egui::Shadow::NONE);
     let corner = ui.content_rect().min + Vec2::splat(MARGIN);
     let shown = egui::Area::new(egui::Id::unique("stats")).default_pos(corner).movable(true).show(ui, |ui| {
@@ -51,6 +58,9 @@ fn show(ui: &egui::Context, recent: &[&FrameStats], has_phases: bool, tables: &[
                 for (index, cells) in tables.iter().enumerate() {
                     ui.add(egui::Separator::default().spacing(3.0));
                     grid(ui, index, cells, layout);
+                }
+                for line in lines {
+                    ui.add(egui::Label::new(plain(line, layout)).truncate());
                 }
             });
             let cut = shown.content_size - shown.inner_rect.size();
@@ -165,12 +175,15 @@ mod tests {
         let stats = FrameStats { frame_ms: 1234.5, draw_ms: 456.78, update_ms: 123.45, ..FrameStats::default() };
         let recent = vec![&stats; RECENT_FRAMES];
         let tables = tables(lengths);
+        // The longest page of a large image names what was left out.
+        let lines = if screen[1] > 400.0 { vec!["left out 1 x a kind ".repeat(20); 5] } else { Vec::new() };
         let mut result = None;
         // egui knows sizes from the second frame on.
         for _ in 0..3 {
             let rect = egui::Rect::from_min_size(egui::Pos2::ZERO, screen.into());
             let input = egui::RawInput { screen_rect: Some(rect), ..egui::RawInput::default() };
-            let mut output = context.run_ui(input, |ui| result = Some(show(ui.ctx(), &recent, true, &tables)));
+            let mut output =
+                context.run_ui(input, |ui| result = Some(show(ui.ctx(), &recent, true, (&tables, &lines))));
             output.textures_delta.clear();
         }
         result.unwrap()
@@ -191,7 +204,7 @@ mod tests {
     #[test]
     fn text_is_as_large_as_fits() {
         let sizes = [9, 24].map(|cells| vec![Vec2::new(7.0, 5.0); cells]);
-        let of = |x: f32, y: f32| layout(Vec2::new(x, y), true, &sizes, |text| 1.25 * text);
+        let of = |x: f32, y: f32| layout(Vec2::new(x, y), true, (&sizes, 0), |text| 1.25 * text);
         assert_eq!(of(460.0, 700.0), Layout { text: 13.0, chart: 70.0, columns: 2 });
         assert!(of(460.0, 300.0).text > of(290.0, 220.0).text);
         // When nothing fits, the page scrolls.

@@ -1,4 +1,5 @@
-//! The tables of a page: draw counters, pager counters and image pager counters.
+//! The tables of a page: draw counters, pager counters and image pager counters, and what readers left out. Main thread, event
+//! phase.
 
 use crate::viewer::{FrameStats, GuiActionAdapter};
 
@@ -67,10 +68,37 @@ pub(super) fn images(viewer: &GuiActionAdapter<'_>) -> Option<Vec<Cell>> {
     ])
 }
 
+/// The maximum number of kinds that are named.
+const MAX_KINDS: usize = 4;
+
+/// Returns a line for each of the most frequent kinds that readers left out, and one about the other kinds.
+pub(super) fn left_out<'a>(ignored: impl Iterator<Item = (&'a str, u64)>) -> Vec<String> {
+    let mut kinds: Vec<(&str, u64)> = ignored.collect();
+    // Kinds of equal counts stay in the order of their names.
+    kinds.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+    let named = kinds.iter().take(MAX_KINDS).map(|(kind, count)| format!("left out {count} x {kind}"));
+    let more = kinds.len().saturating_sub(MAX_KINDS);
+    named.chain((more > 0).then(|| format!("left out {more} more kinds, which terrane info names"))).collect()
+}
+
 fn mebibytes(bytes: u64) -> String {
     format!("{:.1} MiB", bytes as f64 / f64::from(1 << 20))
 }
 
 fn thousands(count: u64) -> String {
     if count < 10_000 { count.to_string() } else { format!("{} k", count / 1000) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn most_frequent_kinds_that_are_left_out_are_named() {
+        let counts = [("a", 1), ("b", 9), ("c", 3), ("d", 9), ("e", 2), ("f", 1)];
+        let lines = left_out(counts.into_iter());
+        let more = "left out 2 more kinds, which terrane info names";
+        assert_eq!(lines, ["left out 9 x b", "left out 9 x d", "left out 3 x c", "left out 2 x e", more]);
+        assert!(left_out(std::iter::empty()).is_empty());
+    }
 }
