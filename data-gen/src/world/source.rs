@@ -1,5 +1,5 @@
 //! A world as a source of elevation: its heights at any longitude and latitude, for tiles that do not lie on the lattice of a
-//! set. Beyond the rectangle of the set the planet goes on.
+//! set. The planet continues beyond the rectangle of the set.
 
 use super::points::meridians;
 use super::tiles::WorldSet;

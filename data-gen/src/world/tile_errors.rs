@@ -1,7 +1,7 @@
 //! The errors of tiles that are computed alone: estimates that servers declare, on the threads of their connections.
 //!
 //! A tile is estimated by its own samples: the surface bends most in some of its rows, and there the triangles are compared with
-//! the surface between them. That is a function of the place, so that tilesets agree at the corners of tiles, whichever is asked
+//! the surface between them. That is a function of the position, so that tilesets agree at the corners of tiles, whichever is asked
 //! for first. An error is at most that of the tile above divided by [`RATIO`], as decision 0077 needs. So a rough tile in a smooth
 //! one has the error that is left to it; but all samples of the tile above are its own, too.
 //!
@@ -19,15 +19,16 @@ use crate::TileKey;
 use crate::output::RATIO;
 use crate::pyramid::CELLS;
 
-/// The rows of samples beside which cells are measured, and the lines in a row of cells and the places in a cell along them.
+/// The rows of samples beside which cells are measured, and the lines in a row of cells and the positions in a cell along them.
 const BENT: usize = 3;
 const LINES: usize = 2;
 const PLACES: usize = 2;
-/// The factors for what was not measured: of tiles whose cells are larger than a size in metres, between which whole mountains lie, of
-/// others, and of the depth to which rivers cut.
-const LARGE_CELL_M: f64 = 1_000.0;
-const LARGE_MARGIN: f64 = 2.6;
+/// The factor for what was not measured.
 const MARGIN: f64 = 2.0;
+/// The factor for tiles whose cells are larger than a size in metres: whole mountains lie between their samples.
+const LARGE_MARGIN: f64 = 2.6;
+const LARGE_CELL_M: f64 = 1_000.0;
+/// The factor of the depth to which rivers cut.
 const VALLEY_MARGIN: f64 = 2.0;
 
 impl WorldSet {

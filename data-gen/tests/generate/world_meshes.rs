@@ -237,7 +237,7 @@ fn worlds_are_terrain_for_globes() {
     assert_eq!((found.failed, found.ignored.len(), found.problems.len()), (0, 0, 0), "{found:?}");
     let sizes: Vec<usize> = files_below(&isles.out).into_values().map(|file| file.len()).collect();
     assert!(sizes.iter().any(|size| *size > 65_536) && sizes.iter().any(|size| *size < 10_000), "{sizes:?}");
-    // The planet goes on beyond the set. The last extension: its number, its length, and the water of each cell.
+    // The planet continues beyond the set. The last extension: its number, its length, and the water of each cell.
     let far = std::fs::read(isles.out.join("0/0/0.terrain")).unwrap();
     let (head, mask) = far[far.len() - 65_541..].split_at(5);
     assert_eq!(head, [2, 0, 0, 1, 0]);

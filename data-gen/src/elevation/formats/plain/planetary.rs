@@ -1,4 +1,4 @@
-//! The maps of other bodies in labels of PDS4 and ISIS: a projection by its name, the place of the first pixel, and the size of
+//! The maps of other bodies in labels of PDS4 and ISIS: a projection by its name, the position of the first pixel, and the size of
 //! pixels. The thread that opens a file.
 
 use crate::georeference::GeoTransform;
