@@ -111,8 +111,8 @@ fn errors_of_levels_are_never_less_than_measured_and_not_far_above() {
         assert!(errors_m.windows(2).all(|pair| pair[0] >= 1.04 * pair[1]), "{errors_m:?}");
         let levels = match k % 2 {
             _ if kit::long_tests() => [0, 1, 4, 7, 10, 12, 15].as_slice(),
-            0 => &[0, 4, 10],
-            _ => &[1, 7, 15],
+            0 => &[0, 10],
+            _ => &[1, 15],
         };
         for &level in levels {
             // Flat triangles lie below the arc of the earth.
@@ -153,17 +153,21 @@ fn declared_m(set: &WorldSet, key: TileKey) -> f64 {
     found.unwrap()
 }
 
-/// Tiles of a served planet have errors of their own.
+/// Each tile of a served planet has a separate error.
 #[test]
 fn errors_of_served_tiles_are_never_less_than_measured_and_differ() {
-    for preset in WorldPreset::ALL {
+    for (k, preset) in WorldPreset::ALL.into_iter().enumerate() {
         let set = WorldSet::globe(World::new(preset, 3), 20);
-        let levels = if kit::long_tests() { [0, 2, 4, 6, 8, 10, 12, 15].as_slice() } else { &[1, 6, 11] };
+        let levels = match k % 2 {
+            _ if kit::long_tests() => [0, 2, 4, 6, 8, 10, 12, 15].as_slice(),
+            0 => &[1, 11],
+            _ => &[6],
+        };
         for &level in levels {
             let side = 6_371_000.0 * std::f64::consts::PI / f64::from(64u32 << level);
             let bulge_m = (1.0 + 4.0) * side * side / 8.0 / 6_371_000.0;
             let places: &[[f64; 2]] = &[[0.53, 0.71], [0.514, 0.757], [0.21, 0.62], [0.87, 0.44], [0.66, 0.9]];
-            for place in &places[..if kit::long_tests() { places.len() } else { 2 }] {
+            for place in &places[..if kit::long_tests() { places.len() } else { 1 }] {
                 let [x, y] = place.map(|share| (share * f64::from(1u32 << level)) as u32);
                 let key = tile(level, x, y);
                 let measured_m = error_m(&set, key, 2, [1, 2]).max(error_m(&set, key, 3, [5, 3])) + bulge_m;
@@ -174,7 +178,7 @@ fn errors_of_served_tiles_are_never_less_than_measured_and_differ() {
     }
     // The sea is smoother than mountains.
     let set = WorldSet::globe(World::new(WorldPreset::Islands, 3), 20);
-    let errors_m: Vec<f64> = (0..24).map(|k| declared_m(&set, tile(9, 21 * k, 10 + 20 * k))).collect();
+    let errors_m: Vec<f64> = (0..12).map(|k| declared_m(&set, tile(9, 42 * k, 10 + 40 * k))).collect();
     let [low_m, high_m] = [f64::min, f64::max].map(|pick| errors_m.iter().copied().reduce(pick).unwrap());
     assert!(low_m < 0.2 * high_m, "{errors_m:?}");
 }
