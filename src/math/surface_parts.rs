@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use super::{Geodetic, Region};
 
-/// Parts are divided this many times at most. Between what is outside of a picture and what is behind the horizon may be a narrow
+/// Parts are divided this many times at most. Between the parts outside of the frustum and those behind the horizon may be a narrow
 /// strip in which both tests hold.
 const MAX_DEPTH: u32 = 7;
 /// The number of parts that a test looks at; more belong to a region whose edge is everywhere near that of what is tested.

@@ -34,7 +34,7 @@ fn assert_refused_within(most: u64, name: &str, uri: &str, bytes: Vec<u8>) {
     assert_content_refused(most, name, content(uri, bytes));
 }
 
-/// As [`assert_refused`], for any content and any maximum of bytes at once.
+/// Asserts the same as [`assert_refused`] for any content and any maximum of bytes at once.
 pub(super) fn assert_content_refused(most: u64, name: &str, within: Content) {
     let (input, uri, free) = (within.bytes.len() as u64, within.uri.clone(), within.clone());
     let (_, unlimited) = peak_bytes(|| drop(decode(free, &options(u64::MAX))));

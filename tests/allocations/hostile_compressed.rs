@@ -265,7 +265,7 @@ fn buffers_of_subtrees_take_no_more_than_the_budget() {
     assert_content_refused(BUDGET + SLACK, "contents of a subtree", content(announced, vec![full]));
 }
 
-/// A style is read before any content, without a budget of its own.
+/// A style is read before any content, without a budget.
 #[test]
 fn styles_are_bounded_before_they_are_parsed() {
     let mut objects = String::from(r#"{"a":["#);

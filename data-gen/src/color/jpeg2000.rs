@@ -109,8 +109,9 @@ mod tests {
     use super::*;
     use crate::store::Cursor;
 
-    /// Files that GDAL 3.6 wrote: 12 x 10 pixels of `20 x + 5`, `25 y + 3` and `7 x y` modulo 256 with GeoJP2; the same in 16 bits
-    /// with an opacity of 0 west of the seventh column; and a palette, whose index is the first of them divided by 20, modulo 4.
+    /// Files of 12 x 10 pixels that GDAL 3.6 wrote. The first has `20 x + 5`, `25 y + 3` and `7 x y` modulo 256, with GeoJP2. The
+    /// second has the same in 16 bits, with an opacity of 0 west of the seventh column. The third has a palette, whose index is
+    /// the first number divided by 20, modulo 4.
     const FILES: [&[u8]; 3] = [
         include_bytes!("../../tests/generate/sources/rasters/rgb.jp2"),
         include_bytes!("../../tests/generate/sources/rasters/rgba16.jp2"),

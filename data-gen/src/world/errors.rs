@@ -203,7 +203,7 @@ fn unevenness_m(set: &WorldSet, key: TileKey, buffers: &mut RowBuffers) -> f32 {
 }
 
 /// Returns the largest difference between the triangles of a row of cells and the surface: along a number of lines, at a number of
-/// places in each cell.
+/// points in each cell.
 pub(super) fn row_error_m(
     set: &WorldSet,
     key: TileKey,

@@ -86,9 +86,10 @@ mod tests {
         }
     }
 
-    /// Regression: tiles of which mountains would rise just below the picture, and just behind the horizon, were loaded.
+    /// Regression: tiles were loaded that lie partly below the frustum and partly behind the horizon, if mountains on them could
+    /// be 9 km high.
     #[test]
-    fn tiles_between_the_edge_of_the_picture_and_the_horizon_are_culled() {
+    fn tiles_between_the_edge_of_the_image_and_the_horizon_are_culled() {
         let eye = position(8f64.to_radians(), 46f64.to_radians(), 6.0e6);
         let eye_from_ecef = DAffine3::from_mat4(look_to_mat4(eye, -eye.normalize(), DVec3::Z));
         let clip = perspective_infinite_reverse(0.628, 16.0 / 9.0, 1.0);
@@ -102,7 +103,7 @@ mod tests {
             is_out_of_sight(&region, eye, (&planes, 0b1111), &horizon)
         };
         assert!(culls(-45.0, -45.0) && culls(45.0, -45.0));
-        assert!(!culls(90.0, 0.0), "its corner is in the picture");
+        assert!(!culls(90.0, 0.0), "its corner is in the image");
     }
 
     /// Regression: tiles beyond the corners of a picture were loaded, since the corners of their boxes are in sight.

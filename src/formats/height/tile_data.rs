@@ -202,7 +202,7 @@ impl HeightSet {
     }
 
     /// Returns the errors of a tile. `above` are those of the tile that it is a part of; `None` for the tileset's root.
-    /// The rectangle of the tile is that of its volume, if it is a region and the tile has no rectangle of its own.
+    /// The rectangle of the tile is that of its volume, if it is a region and the tile names no rectangle.
     ///
     /// # Errors
     /// [`IoError::Invalid`] for a tile that has neither a region nor a plane.
@@ -302,7 +302,7 @@ mod tests {
         assert_eq!(part.errors.levels(), [[7.0; 4], [20.0, 30.0, 20.0, 30.0], [60.0, 60.0, 40.0, 40.0]]);
     }
 
-    /// Trees at the edge of a tile reach over its heights, which need a rectangle of their own then.
+    /// Trees at the edge of a tile reach over its heights, which then need a separate rectangle.
     #[test]
     fn heights_have_their_own_rectangle_in_a_wider_volume() {
         let json = r#"{"content":"height","side":65,"border":1,"level_errors_m":[90]}"#;

@@ -69,7 +69,7 @@ pub(in crate::formats) fn size_of(uri: &str, bytes: &[u8], limits: &Limits) -> R
 /// A texture and, if it is shared between contents, its reference count.
 pub(in crate::formats) type SharedTexture = (Arc<Texture>, Option<Arc<SharedContent>>);
 
-/// What an image is decoded for.
+/// The way in which a texture's image is sampled, which decides how it is decoded.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::formats) struct ImageUse {
     pub sampling: Sampling,

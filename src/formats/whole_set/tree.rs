@@ -86,7 +86,7 @@ pub(in crate::formats) fn read_companions(
     let limits = options.limits;
     let mut read_all = |others: Vec<Arc<str>>, companions: &mut Vec<Fetched>| {
         for other in others {
-            // What is beyond the limit is missing, with its reason.
+            // A file beyond the limit is missing, with its reason.
             let read = limits.check_files_of_content(uri, got).and_then(|()| from.read(&other));
             got += of(&read);
             *bytes_read += of(&read);

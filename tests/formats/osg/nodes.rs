@@ -106,7 +106,7 @@ fn cameras_that_draw_elsewhere_are_counted() {
     }
 }
 
-/// A picture of what a file draws over the view: a quad over its lower left quarter.
+/// The image shows a quad that the file draws over the lower left quarter of the view.
 #[test]
 fn overlays_of_files_are_seen_wherever_the_eye_is() {
     let Some(mut rig) = kit::rig::rig("overlays_of_files_are_seen_wherever_the_eye_is") else { return };

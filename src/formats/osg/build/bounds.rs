@@ -94,7 +94,7 @@ fn of_node(node: &NodeObject, known: &mut Spheres) -> BoundingSphere {
             // Children that move with the eye have no position.
             if *is_absolute || sphere.is_empty() { BoundingSphere::EMPTY } else { sphere.transformed(&map) }
         }
-        // What is drawn over the view has no position.
+        // Children that are drawn over the view have no position.
         NodeClass::Camera(_) => BoundingSphere::EMPTY,
         NodeClass::AutoTransform(AutoObject { is_absolute: true, .. }) => BoundingSphere::EMPTY,
         NodeClass::AutoTransform(auto) => {

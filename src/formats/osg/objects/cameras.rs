@@ -5,20 +5,20 @@ use glam::DMat4;
 /// A Camera. Its matrices are those of OpenGL, with depths of -1 to 1.
 #[derive(Clone, Debug)]
 pub(in crate::formats::osg) struct CameraObject {
-    /// The matrices replace those above.
+    /// True if the matrices replace those above.
     pub is_absolute: bool,
     pub projection: DMat4,
     pub view: DMat4,
     pub order: CameraOrder,
-    /// The place among cameras of the same order.
+    /// Cameras of the same order are drawn by this number.
     pub number: i32,
     /// The bits of OpenGL's glClear.
     pub clear_mask: u32,
     /// The displayed colour, sRGB.
     pub clear_color: [f32; 4],
-    /// It draws to a part of the window, in pixels.
+    /// True if it draws to a part of the window, in pixels.
     pub has_viewport: bool,
-    /// It draws to a texture or to a window of its own.
+    /// True if it draws to a texture or to a separate window.
     pub has_target: bool,
 }
 
@@ -33,11 +33,11 @@ impl CameraObject {
 /// When a Camera is drawn, with OSG's numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::formats::osg) enum CameraOrder {
-    /// Before the view.
+    /// Drawn before the view.
     Before,
-    /// As a part of the view.
+    /// Drawn as a part of the view.
     Nested,
-    /// Over the view.
+    /// Drawn over the view.
     After,
 }
 
