@@ -83,8 +83,8 @@ fn world_is_predicted() {
     let args = GenArgs { world, size: 40_000.0, levels: Some(2), ..GenArgs::new(folder.path().join("set")) };
     let (predicted, made) = (predict(&args).unwrap(), run(&args).unwrap());
     assert_eq!(predicted.tiles, made.tiles);
-    // All tiles of two levels are made. Tilesets declare measured errors, which may have more or fewer digits.
-    assert!(predicted.bytes.abs_diff(made.bytes) < 100, "{} {}", predicted.bytes, made.bytes);
+    // All tiles of two levels are made. Tilesets declare measured errors, which have more or fewer digits than estimates.
+    assert!(predicted.bytes.abs_diff(made.bytes) < made.bytes / 200, "{} {}", predicted.bytes, made.bytes);
 }
 
 #[test]

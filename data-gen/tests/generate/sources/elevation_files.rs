@@ -384,7 +384,7 @@ fn broken_elevation_is_one_error_that_names_the_file() {
         ("flat.tif", tiff_int16(&heights(), Some(flat), None), "outside of the earth's coordinates"),
         ("text.tif", b"ncols 40\nnrows 40\n".to_vec(), "ASCII grid: no cellsize"),
         ("words.tif", b"heights of hills".to_vec(), "neither GeoTIFF"),
-        ("empty.tif", Vec::new(), "neither GeoTIFF"),
+        ("empty.tif", Vec::new(), "the file is empty"),
         ("N42E001.hgt", vec![0; 1000], "HGT of 1000 bytes"),
         ("somewhere.hgt", vec![0; 1201 * 1201 * 2], "the name is not like"),
         ("é€42E001.hgt", vec![0; 1201 * 1201 * 2], "the name is not like"),
