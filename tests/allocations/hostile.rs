@@ -114,7 +114,7 @@ fn other_formats_take_no_more_than_the_budget() {
     assert_refused("SPZ", "/set/a.glb", spz_glb(&gzip(&splats)));
     let table = r#"{"POINTS_LENGTH":400000,"POSITION_QUANTIZED":{"byteOffset":0},"QUANTIZED_VOLUME_SCALE":[1,1,1],"QUANTIZED_VOLUME_OFFSET":[0,0,0]}"#;
     assert_refused("pnts", "/set/a.pnts", pnts_bytes(table, &vec![0; 6 * 400_000]));
-    // A header of quantized-mesh, vertices at one place, as many triangles as use each once, and edges without vertices.
+    // A header of quantized-mesh, vertices at one position, as many triangles as use each once, and edges without vertices.
     let (vertices, triangles) = (200_000u32, 66_666u32);
     let (places, codes) = (vec![0; 6 * vertices as usize], vec![0; 12 * triangles as usize + 16]);
     let quantized = [&[0; 88][..], &vertices.to_le_bytes(), &places, &triangles.to_le_bytes(), &codes].concat();

@@ -9,7 +9,7 @@ use crate::scene::MORPH_LEVELS;
 /// Geometric errors in metres at the corners of a tile: south-west, south-east, north-west, north-east.
 pub(in crate::formats) type CornerErrors = [f64; 4];
 
-/// The errors at the corners of a tile: those of its own level, then those of the coarser levels, nearest first. Those of
+/// The errors at the corners of a tile: those of its level, then those of the coarser levels, nearest first. Those of
 /// coarser levels are interpolated from the corners of the tile above on that level.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(in crate::formats) struct LevelErrors {

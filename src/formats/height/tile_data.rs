@@ -75,7 +75,7 @@ pub(super) struct TileData {
     /// Additional samples beyond each edge.
     pub border: u32,
     pub level: u32,
-    /// Geometric errors in metres at the corners of the tile: of its own level, then of the coarser levels, nearest first.
+    /// Geometric errors in metres at the corners of the tile: of its level, then of the coarser levels, nearest first.
     pub errors_m: Vec<CornerErrors>,
     /// URI of the image that covers the tile.
     pub imagery: Option<Arc<str>>,

@@ -17,7 +17,7 @@ const HEIGHTS_AT: usize = 24;
 const MAX_COORDINATE: i32 = 32767;
 /// Tiles with more vertices have indices of 32 bits.
 const MAX_SHORT_VERTICES: usize = 1 << 16;
-/// The bytes that a vertex takes until it is one of a mesh: its coordinates, its place on the ellipsoid, its normal.
+/// The bytes that a vertex takes until it is one of a mesh: its coordinates, its position on the ellipsoid, its normal.
 const VERTEX_BYTES: u64 = 256;
 /// The same for a triangle: its indices here, without those that are flat, and in the mesh.
 const TRIANGLE_BYTES: u64 = 48;

@@ -303,9 +303,12 @@ impl<J: Request> WaitingJobs<J> {
     /// Takes the job that is next in turn among those that may be taken. `may_take` decides for a lane's servers and for
     /// prefetches or other jobs. Requests from before the frame `aged_before` are old.
     pub fn take(&mut self, source: Source, aged_before: u32, may_take: impl Fn(&[String], bool) -> bool) -> Option<J> {
-        #[cfg(feature = "http")]
-        while source == Source::Servers && self.move_to_servers(self.first(source, aged_before, &may_take)?) {}
-        let ticket = self.first(source, aged_before, &may_take)?;
+        let ticket = loop {
+            let ticket = self.first(source, aged_before, &may_take)?;
+            if !self.move_to_servers(source, ticket) {
+                break ticket;
+            }
+        };
         let waiting = self.jobs.get(&ticket)?;
         if !waiting.urgency.is_prefetch() {
             let taken = waiting.job.scene();
@@ -322,9 +325,18 @@ impl<J: Request> WaitingJobs<J> {
         self.first(source, 0, &may_take).is_some()
     }
 
-    /// Moves a job to the lane of all its servers. Returns true if that is another one than it is in.
+    /// Returns false: files have one lane.
+    #[cfg(not(feature = "http"))]
+    fn move_to_servers(&mut self, _source: Source, _ticket: Ticket) -> bool {
+        false
+    }
+
+    /// Moves a job of servers to the lane of all its servers. Returns true if that is another one than it is in.
     #[cfg(feature = "http")]
-    fn move_to_servers(&mut self, ticket: Ticket) -> bool {
+    fn move_to_servers(&mut self, source: Source, ticket: Ticket) -> bool {
+        if source != Source::Servers {
+            return false;
+        }
         let Some(waiting) = self.jobs.get(&ticket) else { return false };
         let (servers, from) = (waiting.job.servers(), waiting.lane);
         if servers == self.lanes[from].servers {

@@ -1,5 +1,5 @@
 //! Cubes of ISIS, version 3 (USGS): a label in text of objects, groups and lines `NAME = VALUE`, and the samples behind it, in rows
-//! or in tiles.
+//! or in tiles. The thread that opens a file reads the label.
 
 use std::path::Path;
 use std::sync::Arc;

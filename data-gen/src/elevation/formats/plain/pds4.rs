@@ -1,4 +1,5 @@
-//! Images of NASA's Planetary Data System, version 4: plain samples, and a label in XML beside them (`.xml`) with the cartography.
+//! Images of NASA's Planetary Data System, version 4: plain samples, and a label in XML beside them (`.xml`) with the
+//! cartography, which the thread that opens a file reads.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

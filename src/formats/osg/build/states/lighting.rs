@@ -1,4 +1,4 @@
-//! Lights, clip planes, fog and light models of the engine of those of a file. Decode threads.
+//! Makes the engine's lights, clip planes, fog and light models of those of a file. Decode threads.
 
 use std::sync::Arc;
 

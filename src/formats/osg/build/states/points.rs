@@ -1,4 +1,4 @@
-//! Points of more than one pixel as squares. Decode threads.
+//! Draws points of more than one pixel as squares. Decode threads.
 
 use std::sync::Arc;
 

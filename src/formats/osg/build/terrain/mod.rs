@@ -22,7 +22,7 @@ use crate::math::BoundingSphere;
 use crate::scene::{Node, TexelFormat, Texture};
 
 const GL_CLAMP_TO_EDGE: u32 = 0x812f;
-/// The bytes that a vertex of the grid takes: its place and number, six indices, its attributes, and twice as much in a geometry.
+/// The bytes that a vertex of the grid takes: its position and number, six indices, its attributes, and twice as much in a geometry.
 const GRID_VERTEX_BYTES: u64 = 256;
 const GL_TRIANGLES: u32 = 4;
 const GL_LINEAR: u32 = 0x2601;
